@@ -17,6 +17,7 @@ from tests.rig.formats.known_pose import write_sample
 from tests.runs.report.run_parts import fill, folder_at
 from tests.scene.capture.test_folder import SETTINGS, PaintingSimulator
 from tests.scene.test_mesh_colours import write_dae, write_gltf, write_obj
+from tests.scene.traffic import test_drone_formats as drones
 from tests.scene.traffic.recordings import street
 from tests.scene.traffic.test_files import scenario, write_log
 from tests.scene.traffic.test_formats import write_forecast, write_nuscenes, write_waymo
@@ -337,6 +338,10 @@ LARGE = [
     Kind("forecast", write_forecast, read_recording),
     Kind("nuScenes", write_nuscenes, lambda folder: [read_recording(each) for each in recordings_in([folder])]),
     Kind("Waymo", write_waymo, read_recording),
+    *(
+        Kind(name, write, lambda folder: [*map(read_recording, recordings_in([folder]))])
+        for name, write in drones.SAMPLES.items()
+    ),
     Kind("network", _network, OnnxDetector, 3),
     Kind("run", _run, lambda path: read_content(RunFolder.open(path)), 4),
     Kind("workload", _workload, read_workload, inner=(_stored, _archived)),

@@ -13,6 +13,7 @@ import math
 import re
 import zipfile
 import zlib
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any, NoReturn
 from xml.etree import ElementTree
@@ -36,6 +37,8 @@ DATA_SET_BYTES_MAX = 200_000_000
 """Bytes of the tables and recordings of data sets, and of the iterations of a run."""
 DATA_SET_NODES_MAX = 5_000_000
 """Values in them."""
+STREAM_NODES_MAX = 30_000_000
+"""Values in those that are read part by part and never held."""
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """What a PNG file begins with."""
 
@@ -47,20 +50,32 @@ _HALF_CHARACTER = re.compile(
     r"|(?<!\\u[dD][89abAB][0-9a-fA-F]{2})\\u[dD][c-fC-F][0-9a-fA-F]{2})"
 )
 _NOT_BRACKETS = bytes(byte for byte in range(256) if byte not in b"[]{}()")
+_STREAM_BYTES_MAX, _PART_BYTES = 1_000_000_000, 1_000_000
+_Take = Callable[[ElementTree.Element], None] | None
 _ARRAYS_MAX = 10_000  # a checkpoint has some for every selection of its search
 
 
 def read_bytes(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> bytes:
     """The content of a file; of one whose name ends in ``.gz`` what is packed in it."""
+    return b"".join(read_parts(file, kind, bytes_max=bytes_max, part_bytes=bytes_max + 1))
+
+
+def read_parts(
+    file: Path, kind: str, *, bytes_max: int = _STREAM_BYTES_MAX, part_bytes: int = _PART_BYTES
+) -> Iterator[bytes]:
+    """The same, part by part."""
+    left = bytes_max
     try:
         with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as stream:
-            content = stream.read(bytes_max + 1)
+            while left >= 0 and (part := stream.read(part_bytes)):
+                left -= len(part)
+                if left >= 0:
+                    yield part
     except (OSError, EOFError, zlib.error, ValueError) as error:  # the last for a name that no file can have
         reason = (error.strerror if isinstance(error, OSError) else None) or _one_line(error)
         raise InputError(f"{file}: expected {kind}, got: {reason}") from None
-    if len(content) > bytes_max:
+    if left < 0:
         raise InputError(f"{file}: expected {kind} of at most {_size(bytes_max)}, got more; is it another file?")
-    return content
 
 
 def read_text(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> str:
@@ -102,11 +117,17 @@ def check_nesting(text: str, place: str, *, nodes_max: int = NODES_MAX, quotes: 
         refuse_digits(place)
 
 
-def parse_xml(content: bytes, place: str, kind: str, *, nodes_max: int = NODES_MAX) -> ElementTree.Element:
-    """The root of an XML document, which may have no DOCTYPE: its entities may expand without end, and read files."""
-    parser = ElementTree.XMLParser(target=_BoundedBuilder(place, nodes_max))
+def parse_xml(
+    content: bytes | Iterable[bytes], place: str, kind: str, *, nodes_max: int = NODES_MAX, take: _Take = None
+) -> ElementTree.Element:
+    """The root of an XML document, which may have no DOCTYPE: its entities may expand without end, and read files.
+
+    ``take`` gets every child of the root once it is whole, which is emptied then: a long document is never held.
+    """
+    parser = ElementTree.XMLParser(target=_BoundedBuilder(place, nodes_max, take))
     try:
-        parser.feed(content)
+        for part in [content] if isinstance(content, bytes) else content:
+            parser.feed(part)
         return parser.close()
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # of encodings that Python does not have, too
         if isinstance(error, InputError):
@@ -119,9 +140,9 @@ def parse_xml(content: bytes, place: str, kind: str, *, nodes_max: int = NODES_M
 class _BoundedBuilder(ElementTree.TreeBuilder):
     """Builds the tree of a document within bounds."""
 
-    def __init__(self, place: str, nodes_max: int) -> None:
+    def __init__(self, place: str, nodes_max: int, take: _Take) -> None:
         super().__init__()
-        self._place, self._nodes_max = place, nodes_max
+        self._place, self._nodes_max, self._take = place, nodes_max, take
         self._nodes = self._levels = 0
 
     def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
@@ -135,7 +156,11 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
 
     def end(self, tag: str, /) -> ElementTree.Element:
         self._levels -= 1
-        return super().end(tag)
+        element = super().end(tag)
+        if self._take is not None and self._levels == 1:
+            self._take(element)
+            element.clear()
+        return element
 
     def doctype(self, *_: object) -> None:
         raise InputError(f"{_at(self._place)}expected XML without a DOCTYPE, whose entities may expand without end")

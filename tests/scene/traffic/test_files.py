@@ -106,7 +106,7 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
         (scenario("2020a")[:-900], r"expected a whole CommonRoad scenario, got a syntax error: unclosed token"),
         (scenario("2020a").replace("?>\n", f"?>\n{BOMB}", 1), r"expected XML without a DOCTYPE"),
         (scenario("2021x"), r"commonRoadVersion: expected 2018b or 2020a, got '2021x'"),
-        ("<scene/>", r"expected a CommonRoad scenario, got <scene>"),
+        ("<scene/>", r"expected recorded traffic .*, got another file"),
         (scenario("2020a").replace("timeStepSize", "step"), r"timeStepSize: expected a number, got nothing"),
         (scenario("2020a", dynamic="", static=""), r"road users: expected some, got none"),
     ],

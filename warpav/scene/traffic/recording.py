@@ -60,6 +60,8 @@ class Lanelet:
     @classmethod
     def along(cls, centre_m: np.ndarray, width_m: float = LANE_WIDTH_M, kinds: tuple[str, ...] = ()) -> Lanelet:
         """The piece around a centre line [point, 2]."""
+        moved = np.r_[True, (np.diff(centre_m, axis=0) != 0.0).any(axis=1)]  # points repeat in some files
+        centre_m = centre_m[moved] if moved.sum() > 1 else centre_m
         way = np.gradient(centre_m, axis=0)
         way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
         aside_m = 0.5 * width_m * np.stack([-way[:, 1], way[:, 0]], axis=1)
@@ -127,7 +129,7 @@ class Recording:
     lanelets: tuple[Lanelet, ...]  # lanes and crossings
     users: tuple[RecordedUser, ...]  # everybody
     ego_id: str | None = None  # who carried the sensors, where somebody did; nobody else becomes the ego vehicle
-    account: str = ""  # who was left out and why, in one line; empty where nobody was
+    account: str = ""  # who was left out and why, and what was supposed, in one line; empty where nothing was
 
     @property
     def last_step(self) -> int:
@@ -185,6 +187,8 @@ def recording_of(
     *,
     faults: Iterable[Fault] = (),
     passed_over: Iterable[str] = (),
+    notes: Iterable[str] = (),
+    found_map: str = "",
 ) -> Recording:
     """The recording of what a file holds.
 
@@ -197,6 +201,9 @@ def recording_of(
         ego_id: Who carried the sensors, where somebody did.
         faults: Of road users whom it does not.
         passed_over: The file's word for each object that is no road user.
+        notes: What else the account says.
+        found_map: The name of a map that lay near and that the file does not name. If it is of another place, the
+            recording has no lanes.
 
     Raises:
         InputError: Units or axes are wrong, the lanes lie elsewhere, or nobody is left.
@@ -223,18 +230,24 @@ def recording_of(
         raise InputError("road users: expected some, got none")
     if ego_id is not None and ego_id not in kept:
         raise InputError(f"ego: expected the id of a road user, got {ego_id!r}")
-    recording = Recording(
-        recording_id, source, step_s, tuple(lanelets), tuple(kept.values()), ego_id,
-        _account(found, clipped, Counter(passed_over), len(found) + len(kept)),
-    )  # fmt: skip
-    _check_lanes(recording)
+    recording = Recording(recording_id, source, step_s, tuple(lanelets), tuple(kept.values()), ego_id)
+    parts = [*_account(found, clipped, Counter(passed_over), len(found) + len(kept)), *notes]
+    try:
+        _check_lanes(recording)
+    except InputError as error:
+        if not found_map:
+            raise
+        recording = replace(recording, lanelets=())
+        parts.append(f"{found_map}: {error}")
     _check_motion(recording)
-    if any(not lanelet.is_crosswalk for lanelet in recording.lanelets):
-        return recording
-    return replace(recording, lanelets=(*recording.lanelets, *_lanes_along(recording.users)))
+    lanelets = recording.lanelets
+    if all(lanelet.is_crosswalk for lanelet in lanelets):
+        lanelets += tuple(_lanes_along(recording.users))
+        parts.append("without lanes, the road follows the tracks")
+    return replace(recording, lanelets=lanelets, account="; ".join(parts))
 
 
-def _account(faults: Sequence[Fault], clipped: int, passed_over: Counter[str], count: int) -> str:
+def _account(faults: Sequence[Fault], clipped: int, passed_over: Counter[str], count: int) -> list[str]:
     parts = []
     if faults:
         fields = _counts(Counter(fault.field for fault in faults))
@@ -243,7 +256,7 @@ def _account(faults: Sequence[Fault], clipped: int, passed_over: Counter[str], c
         parts.append(f"{clipped} sizes clipped")
     if passed_over:
         parts.append(f"{passed_over.total()} objects passed over that are no road users ({_counts(passed_over)})")
-    return "; ".join(parts)
+    return parts
 
 
 def _counts(counter: Counter[str]) -> str:
@@ -376,6 +389,7 @@ def _check_motion(recording: Recording) -> None:
         and not _SPEED_RATIO[0] <= (middle := float(np.median(ratio))) <= _SPEED_RATIO[1]
     ):
         hint = f"dt_s {recording.step_s / middle:.2g} would fit" if middle < 1.0 else "km/h, or another dt_s?"
+        hint = hint if middle < 100.0 else "are the positions degrees?"
         raise InputError(
             f"v_mps: expected the speeds by positions over dt_s {recording.step_s:g}, got {middle:.2f} of them "
             f"(median); {hint}"

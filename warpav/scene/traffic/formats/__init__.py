@@ -6,11 +6,21 @@ faults, passes over the words of what is no road user, and raises `InputError` w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpav.scene.traffic.formats import _argoverse2, _commonroad, _json, _nuscenes, _waymo
+from warpav.scene.traffic.formats import (
+    _argoverse2,
+    _commonroad,
+    _drone,
+    _interaction,
+    _json,
+    _nuscenes,
+    _sumo,
+    _waymo,
+)
 from warpav.scene.traffic.formats import _argoverse2_motion as _motion
 from warpav.scene.traffic.recording import Recording
 
@@ -31,16 +41,22 @@ class TrafficFormat:
     recordings_of: Callable[[Path], list[Path]] = _nothing  # of a folder that holds several in files together
 
 
-def _is_file(*suffixes: str) -> Callable[[Path], bool]:
-    return lambda path: path.name.endswith(suffixes) and path.is_file()
+def _is_file(name: str, *tags: str) -> Callable[[Path], bool]:
+    """Whether a path is a file of such a name and, if that is XML, with such a tag first; none is an empty one."""
+    named = re.compile(name).fullmatch
+    return lambda path: named(path.name) is not None and path.is_file() and (not tags or _sumo.root_tag(path) in tags)
 
 
+_XML = r".*\.xml(\.gz)?"
 FORMATS = (
     TrafficFormat("folders of Argoverse 2 logs", _argoverse2.is_log, _argoverse2.read, _argoverse2.files_of),
     TrafficFormat("folders of Argoverse 2 motion forecasting", _motion.is_scenario, _motion.read, _motion.files_of),
-    TrafficFormat("CommonRoad XML", _is_file(".xml", ".xml.gz"), _commonroad.read),
     TrafficFormat("nuScenes tables", _nuscenes.is_scene, _nuscenes.read, _nuscenes.files_of, _nuscenes.recordings_of),
+    TrafficFormat("SUMO's FCD output", _is_file(_XML, "fcd-export"), _sumo.read, _sumo.files_of),
+    TrafficFormat("CommonRoad XML", _is_file(_XML, "commonRoad", ""), _commonroad.read),
+    TrafficFormat("INTERACTION", _is_file(r"vehicle_tracks_\d+\.csv"), _interaction.read, _interaction.files_of),
+    TrafficFormat("inD, rounD, exiD, uniD, highD", _is_file(r"\d+_tracks\.csv"), _drone.read, _drone.files_of),
     TrafficFormat("Waymo scenes as JSON of GPUDrive and Nocturne", _waymo.is_scene, _waymo.read),
-    TrafficFormat("JSON", _is_file(".json", ".json.gz"), _json.read),
+    TrafficFormat("JSON", _is_file(r".*\.json(\.gz)?"), _json.read),
 )
 """Every format; the first one that takes a path reads it."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, read_arrow, read_text, refuse_nodes
+from warpav.core.bounded_files import STREAM_NODES_MAX, read_arrow, read_parts, refuse_nodes
 from warpav.core.errors import InputError
 from warpav.scene.traffic.recording import RecordedUser
 
@@ -18,6 +20,11 @@ USUAL_SIZE_M = {
     "pedestrian": (0.6, 0.6, 1.7),
 }  # fmt: skip
 """Length, width and height of a class [m], where none were recorded; riders are on their machines."""
+_CSV = "a table (CSV)"
+_CHUNK_ROWS = 20_000
+_TEXT_MAX, _LINE_MAX = 200, 1_000_000  # characters of a value, which ends there, and of a line
+_NOMINAL_SIZE_M = {"pedestrian": (0.5, 0.6), "bicycle": (1.8, 0.6), "motorcycle": (2.1, 0.8)}
+_HEADING_FROM_M_S = 0.3  # a slower velocity gives no heading
 
 
 def read_columns(
@@ -29,10 +36,10 @@ def read_columns(
     missing or a value is no number.
     """
     names = [*numbers, *texts, *optional]
-    found = _of_csv(file, names) if file.suffix == ".csv" else _of_arrow(file, names)
+    found = _of_csv(file, names, texts) if file.suffix == ".csv" else _of_arrow(file, names)
     missing = [name for name in names if name not in found and name not in optional]
     if missing:
-        raise InputError(f"{file}: expected a column {missing[0]}, got {', '.join(found)}")
+        raise InputError(f"{file}: expected a column {missing[0]}, got {', '.join([*found][:30])[:300] or 'none'}")
     return {
         name: column if name in texts else _numbers(column, f"{file}", name)
         for name, column in found.items()
@@ -40,19 +47,39 @@ def read_columns(
     }
 
 
-def _of_csv(file: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    lines = csv.reader(read_text(file, "a table (CSV)", bytes_max=DATA_SET_BYTES_MAX).splitlines())
-    head = [name.strip() for name in next(lines, [])]
-    wanted = [k for k, name in enumerate(head) if name in names]
-    rows: list[list[str]] = []
-    for row in lines:
-        if len(row) != len(head):
-            raise InputError(f"{file}:{lines.line_num}: expected {len(head)} columns as the head has, got {len(row)}")
-        rows.append([row[k] for k in wanted])
-        if len(rows) * len(wanted) > DATA_SET_NODES_MAX:
-            refuse_nodes(str(file), DATA_SET_NODES_MAX)
-    columns = dict.fromkeys(head, np.zeros(0))
-    return columns | {head[k]: np.array([row[n] for row in rows], str) for n, k in enumerate(wanted)}
+def _of_csv(file: Path, names: Sequence[str], texts: Sequence[str]) -> dict[str, np.ndarray]:
+    """Columns of a CSV file; those without these names are empty."""
+    lines = csv.reader(_lines(file))
+    try:
+        head = [name.strip() for name in next(lines, [])]
+        place = {name: head.index(name) for name in head if name in names}
+        chunks: dict[str, list[np.ndarray]] = {name: [np.zeros(0, str if name in texts else float)] for name in place}
+        number = 2  # of the first line of a chunk
+        while rows := list(islice(lines, _CHUNK_ROWS)):
+            for k, row in enumerate(rows):
+                if row and len(row) != len(head):
+                    expected = f"expected {len(head)} columns as the head has"
+                    raise InputError(f"{file}:{number + k}: {expected}, got {len(row)}; is it cut off?")
+            for name, k in place.items():
+                words = [row[k].strip()[:_TEXT_MAX] for row in rows if row]
+                chunks[name].append(np.array(words, str) if name in texts else _numbers(words, f"{file}", name, number))
+            number += len(rows)
+            if number * len(place) > STREAM_NODES_MAX:
+                refuse_nodes(f"{file}", STREAM_NODES_MAX)
+    except (csv.Error, UnicodeDecodeError) as error:
+        reason = "not UTF-8 text" if isinstance(error, UnicodeDecodeError) else error
+        raise InputError(f"{file}:{lines.line_num + 1}: expected {_CSV}, got: {reason}") from None
+    return dict.fromkeys(head, np.zeros(0)) | {name: np.concatenate(each) for name, each in chunks.items()}
+
+
+def _lines(file: Path) -> Iterator[str]:
+    rest = ""
+    for text in codecs.iterdecode(read_parts(file, _CSV), "utf-8-sig"):
+        *whole, rest = (rest + text).split("\n")
+        if len(rest) > _LINE_MAX:
+            raise InputError(f"{file}: expected {_CSV}, got a line of more than {_LINE_MAX:,} characters")
+        yield from whole
+    yield rest
 
 
 def _of_arrow(file: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -63,30 +90,32 @@ def _of_arrow(file: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     }
 
 
-def _numbers(column: np.ndarray, place: str, name: str) -> np.ndarray:
-    if column.dtype.kind in "iufb":
+def _numbers(column: np.ndarray | list[str], place: str, name: str, first: int = 2) -> np.ndarray:
+    """A column as numbers; its first value stands in line ``first``, as the head does in line 1."""
+    if isinstance(column, np.ndarray) and column.dtype.kind in "iufb":
         return column
-    if column.dtype.kind == "U":
-        column = np.where(column == "", "nan", column)
     try:
-        return column.astype(np.float64)
+        return np.array(column, np.float64)
     except (ValueError, TypeError):
-        for number, value in enumerate(column.tolist(), start=2):  # the head is line 1
-            try:
-                float(value)
-            except (ValueError, TypeError):
-                raise InputError(f"{place}:{number}: {name}: expected a number, got {value!r}") from None
-        raise
+        values = [math.nan if isinstance(value, str) and not value else value for value in column]
+    for number, value in enumerate(values, start=first):
+        try:
+            float(value)
+        except (ValueError, TypeError):
+            raise InputError(f"{place}:{number}: {name}: expected a number, got {value!r}") from None
+    return np.array(values, np.float64)
 
 
 def steps_of(time_s: np.ndarray, place: str) -> tuple[np.ndarray, float]:
     """The step of every time, from the first on, int64 [row], and the time between two steps [s]."""
     times = np.unique(time_s)
-    if len(times) < 2 or not np.isfinite(times).all():
-        raise InputError(f"{place}: expected finite times of two moments or more, got {len(times)}")
+    if not np.isfinite(times).all():
+        raise InputError(f"{place}: expected a finite time in every row, got {times[~np.isfinite(times)][0]}")
+    if len(times) < 2:
+        raise InputError(f"{place}: expected times of two moments or more, got {len(times)}")
     step_s = float(np.median(np.diff(times)))
     # gap by gap, as the steps of real sensors are not all alike, and what they are off by would add up
-    step = np.r_[0, np.round(np.diff(times) / step_s).cumsum()].astype(np.int64)
+    step = np.r_[0, np.round(np.clip(np.diff(times) / step_s, 0.0, 2.0**40)).cumsum()].astype(np.int64)
     return step[np.searchsorted(times, time_s)], step_s
 
 
@@ -140,3 +169,25 @@ def stamp_of(file: Path) -> tuple[int, int]:
     except OSError as error:
         raise InputError(f"{file}: expected recorded traffic, got: {error.strerror}") from None
     return about.st_mtime_ns, about.st_size
+
+
+def with_people(
+    rows: dict[str, np.ndarray], category: Mapping[str, str], velocity_m_s: np.ndarray
+) -> tuple[list[RecordedUser], list[str]]:
+    """The same with velocities over ground [m/s], float64 [row, 2], of data sets that do not measure who is small.
+
+    Two-wheelers and people without a size get the usual one, and the heading of their motion.
+    """
+    for row in grouped(rows["id"], rows["step"]):
+        size_m = _NOMINAL_SIZE_M.get(category.get(str(rows["type"][row[0]]), ""))
+        if size_m is None or (rows["length_m"][row] > 0.0).any():
+            continue
+        rows["length_m"][row], rows["width_m"][row] = size_m
+        moving = np.flatnonzero(np.linalg.norm(velocity_m_s[row], axis=1) > _HEADING_FROM_M_S)
+        if len(moving):  # whoever stands keeps the heading of before or, at first, has that of after
+            last = moving[np.maximum(np.searchsorted(moving, np.arange(len(row)), side="right") - 1, 0)]
+            rows["yaw_rad"][row] = np.arctan2(*velocity_m_s[row[last]].T[::-1])
+        else:
+            rows["yaw_rad"][row] = np.nan_to_num(rows["yaw_rad"][row])
+    along = np.stack([np.cos(rows["yaw_rad"]), np.sin(rows["yaw_rad"])], axis=1)
+    return users_of(rows, category, (velocity_m_s * along).sum(axis=1))
