@@ -103,7 +103,7 @@ def show_everything(console: Terminal, run: RunContent) -> None:
             _print_arms(console, table, fixed)
     robustness = (each and each.table() for each in (evaluation.soiling, evaluation.load_states))
     outages = evaluation.camera_outage.get(evaluation.first)
-    for table in (outages and outages.table(evaluation.first), *robustness):
+    for table in (outages and outages.table(heading_of(evaluation.first)), *robustness):
         if table is not None:
             console.print(drawn(table, has_frame=True))
     for statement in (headline(run), *summary(run), *cautions(run)):
@@ -126,7 +126,7 @@ def _print_arms(console: Terminal, table: Table, fixed: int) -> None:
 
     def parts(size: int) -> list[Group]:
         chosen = [[*range(fixed + 1), *others[k : k + size]] for k in range(0, max(1, len(others)), size)]
-        cells = [table.columns, *table.rows]
+        cells = [tuple(map(heading_of, table.columns)), *table.rows]
         columns = [[tuple(row[k] for k in part) for row in cells] for part in chosen]
         return [drawn(Table(first, tuple(rows)), has_frame=True) for first, *rows in columns]
 
