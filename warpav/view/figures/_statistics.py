@@ -139,10 +139,10 @@ def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[
     colour = hex_colour(camera_rgb(0))
     low, high = zip(*(_wilson_interval(tables[first][name]) for name in groups), strict=True)
     axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
-    for name in reversed(others):
+    for k, name in reversed([*enumerate(others)]):
         values = [tables[name][group].recall if group in tables[name] else None for group in groups]
-        style = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": "", "clip_on": False}
-        style |= {"markeredgecolor": hex_colour(BASELINE_RGB.get(name, INK_RGB)), "markeredgewidth": 1.6}
+        style = {"marker": "Ds^v"[k % 4], "markersize": 6.5, "linestyle": "", "clip_on": False}
+        style |= {"markeredgecolor": hex_colour(BASELINE_RGB.get(name, camera_rgb(k + 2))), "markeredgewidth": 1.6}
         axis.plot(np.array(values, float), range(len(groups)), markerfacecolor="none", label=name, **style)
     values = np.array([tables[first][group].recall for group in groups], np.float64)
     axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
