@@ -182,7 +182,7 @@ def front_figure(points: Sequence[Mapping[str, Any]], *, by: str, title: str | N
 
 def _draw_misses(axis: Any, points: Sequence[Mapping[str, Any]], x: Sequence[float]) -> None:  # noqa: ANN401 (matplotlib)
     series = (
-        ("unseen scenes, detector", "misses_per_100", 1.0, INK_RGB, "o-"),
+        ("unseen scenes, equal false alarms", "misses_per_100", 1.0, INK_RGB, "o-"),
         ("unseen scenes, expected", "expected_misses_per_100", 1.0, camera_rgb(0), "s-"),
         ("scenes of the search, objective", "objective", 100.0, camera_rgb(1), "^--"),
         ("bound: no rig of the pool is below", "bound", 100.0, MUTED_RGB, "_:"),
