@@ -118,7 +118,7 @@ evaluation = wa.evaluate({"three": three.rig, "four": result.rig, "four by hand"
 wa.plot(evaluation)
 
 # %% [markdown]
-# Dots are the recall in each group of vehicles; the number of vehicles stands beside its name. The bars are 95 %
+# Dots are the share that is detected of each group of vehicles, whose number stands beside its name. The bars are 95 %
 # intervals of the first rig: with few vehicles they are wide. All metrics, side by side; the first counts at the
 # confidence at which each rig raises as many false alarms:
 
@@ -127,10 +127,10 @@ evaluation.table()
 
 # %%
 for other in ("three", "four by hand"):
-    difference = evaluation.difference("four", other)
+    fewer = evaluation.difference(other, "four")
     print(
-        f"missed per 100, four cameras - {other}: {difference.mean:+.1f} "
-        f"(95 % interval over {difference.scenes} scenes: {difference.low:+.1f} to {difference.high:+.1f})"
+        f"missed per 100 by four cameras, fewer than {other}: {fewer.mean:+.1f} "
+        f"(95 % interval over {fewer.scenes} scenes: {fewer.low:+.1f} to {fewer.high:+.1f})"
     )
 
 # %% [markdown]

@@ -84,7 +84,7 @@ print(f"area under the curve of the fit: {fitted.scores.auc:.3f} on other scenes
 result.rig
 
 # %%
-evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
+evaluation = wa.evaluate({"found": result.rig, "by hand": result.start}, test, placement)
 evaluation.table()
 
 # %% [markdown]

@@ -53,7 +53,7 @@ result = wa.optimise(placement)
 wa.plot(result, scene=test[0])
 
 # %%
-evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
+evaluation = wa.evaluate({"found": result.rig, "by hand": result.start}, test, placement)
 wa.plot(evaluation)
 
 # %%
@@ -170,8 +170,8 @@ class LargeObjects:
 
 other = wa.Placement(train, detector=LargeObjects(detector), probability=fitted.model)
 for name, one in (("all objects", placement), ("large objects", other)):
-    recall = wa.evaluate(result.rig, test, one).recall["rig"]
-    print(f"{name:14} recall of the same rig {recall:.3f}")
+    missed = wa.evaluate(result.rig, test, one).misses["rig"]
+    print(f"{name:14} the same rig misses {missed:.1f} of 100")
 
 # %% [markdown]
 # The probability is borrowed from the whole detector here. That is right for a comparison of one rig, where only real

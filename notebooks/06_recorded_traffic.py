@@ -42,12 +42,12 @@ config = wa.Config.load(
 train, test = (list(wa.load_scenes(config, split)) for split in ("train", "test"))
 placement = wa.Placement(train, config=config)
 result = wa.optimise(placement)
-rigs = {"optimised": result.rig, "highest": wa.highest_rig(placement), "by hand": result.start}
+rigs = {"found": result.rig, "highest": wa.highest_rig(placement), "by hand": result.start}
 evaluation = wa.evaluate(rigs, test, placement)
 wa.plot(evaluation)
 
 # %% [markdown]
-# Dots are the recall in each group of vehicles; bars are 95 % intervals of the first rig. Most of what all miss is far
+# Dots are the share detected of each group; bars are 95 % intervals of the first rig. Most of what all miss is far
 # away. How many they miss at equal false alarms, of everything, whatever hides it and however far away it is, and of
 # what is *attainable*: what at least one of 128 cameras, spread over roof and bonnet, is likely to detect. The
 # differences have 95 % intervals over the scenes:
@@ -58,11 +58,11 @@ for metric, text in texts.items():
     missed = {name: getattr(metrics, metric) for name, metrics in evaluation.metrics.items()}
     print(f"misses per 100 {text:18}: " + ", ".join(f"{name} {value:.1f}" for name, value in missed.items()))
     for other in ("highest", "by hand"):
-        less = evaluation.difference("optimised", other, metric)
-        print(f"    optimised - {other:8} {less.mean:+.1f} ({less.low:+.1f} to {less.high:+.1f})")
+        fewer = evaluation.difference(other, "found", metric)
+        print(f"    fewer than {other:8} {fewer.mean:+.1f} ({fewer.low:+.1f} to {fewer.high:+.1f})")
 
 # %% [markdown]
-# An interval below 0 says that the search was worth it on this crossing, one that holds 0 that these scenes cannot tell
+# An interval above 0 says that the search was worth it on this crossing, one that holds 0 that these scenes cannot tell
 # the two rigs apart. Here it beats the highest point, and the best rig by hand does as well. Of other crossings neither
 # says anything, for all scenes are of one. All metrics:
 
@@ -124,14 +124,14 @@ for kind in ("vehicle", "pedestrian", "cyclist"):
 # How likely the shipped detector is to find a vehicle of such traffic is known from a fit that ships with warpav.
 
 # %%
-print(f"by hand {result.start_objective:.4f}, optimised {result.objective:.4f}, bound of the pool {result.bound:.4f}")
+print(f"by hand {result.start_objective:.4f}, found {result.objective:.4f}, bound of the pool {result.bound:.4f}")
 
 # %% [markdown]
 # The rig in the moment above, which it was not searched for. Green is detected, orange is seen and missed, violet is
 # hidden from all four cameras:
 
 # %%
-outcomes = [seen.outcome["optimised"] for seen in evaluation.objects if seen.scene == moment.name]
+outcomes = [seen.outcome["found"] for seen in evaluation.objects if seen.scene == moment.name]
 wa.plot(result.rig, scene=moment, outcomes=outcomes, zoom=0.28)
 
 # %%

@@ -65,7 +65,7 @@ wa.plot(result.rig, ego=car, requirements=result.requirements, zoom=1.6)
 # %%
 print(result.requirements.table())
 print(result.requirements.shortfall or "as much is seen as was asked for")
-print(f"by hand {result.start_objective:.4f}, optimised {result.objective:.4f}")
+print(f"by hand {result.start_objective:.4f}, found {result.objective:.4f}")
 print(f"bound {result.bound:.4f}: no rig of the pool's {result.pool_cameras} cameras is below")
 
 # %% [markdown]
@@ -74,7 +74,7 @@ print(f"bound {result.bound:.4f}: no rig of the pool's {result.pool_cameras} cam
 # the best rig by hand of the same modules:
 
 # %%
-evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
+evaluation = wa.evaluate({"found": result.rig, "by hand": result.start}, test, placement)
 evaluation.table()
 
 # %% [markdown]
@@ -136,7 +136,7 @@ front.plot()
 # per 100 road users in the unseen scenes:
 
 # %%
-outage = evaluation.camera_outage["optimised"]
+outage = evaluation.camera_outage["found"]
 tolerance = wa.robustness.mount_tolerance(result.rig, test, placement, sample_count=8)
 without, off = outage.worst, tolerance.worst
 print(f"worst to lose: {without.camera}, {without.difference_per_100:+.2f} misses per 100")

@@ -61,12 +61,11 @@ def test_a_run_compares_its_start_with_its_result(run_folder):
     assert set(FITTING_KINDS) < set(kinds_of(RunFolder)) & set(kinds_of(Rig))
     assert tuple(kinds_of(dict)) == COMPARED_KINDS
     drawn = run_folder.drawn(scene=scene)
-    assert list(drawn.rigs) == ["by_hand", "optimised"]
+    assert list(drawn.rigs) == ["start", "found"]
     assert drawn.scene is scene
     figure = drawing_of(run_folder, Canvas(), kind="redundancy", scene=scene)
     titles = [axis.get_title(loc="left") for axis in figure.axes]
-    assert titles[0] == "by_hand: all cameras"
-    assert titles[2] == "optimised: all cameras"
+    assert titles[::2] == ["start: all cameras", "found: all cameras", ""]
     sheet = drawing_of(run_folder, Canvas(), kind="contact", scene=scene)
     assert len([axis for axis in sheet.axes if axis.get_title(loc="left")]) == len(run_folder.rig().cameras)
 

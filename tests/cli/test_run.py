@@ -181,7 +181,10 @@ def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsy
     assert training["optimised"] > training["start"]
     assert evaluation["rig_of_run"] == "start"
     assert "WORSE THAN ITS START" in captured.out
-    assert captured.err.startswith("warning: WORSE THAN ITS START: the optimised rig has objective")
+    said, listed, _ = re.split(r"(?<=rig_best.yaml\)):\n|(?=\n!)", captured.out, maxsplit=2)
+    assert said.endswith("The rig at the start, which is the rig of this run (rig_best.yaml)")
+    assert [line.split()[0] for line in listed.splitlines()] == [each.name for each in folder.rig("initial").cameras]
+    assert captured.err.startswith("warning: WORSE THAN ITS START: the rig that was found has objective")
     best, start, last = ((folder.path / f"rig_{role}.yaml").read_bytes() for role in ("best", "initial", "final"))
     assert best == start != last
     assert "Worse than its start, so the rig of this run is the start." in (folder.path / "report.html").read_text()

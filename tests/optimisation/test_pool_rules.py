@@ -24,7 +24,7 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig
 from warpav.sight.around import level_ground
-from warpav.sight.rules import NEAR_M, RuleCheck, Rules, housing_shares, near_ring_m, ring_m
+from warpav.sight.rules import NEAR_M, SPARED, RuleCheck, Rules, housing_shares, near_ring_m, ring_m
 from warpav.sight.sight import sight
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
@@ -54,6 +54,11 @@ def test_what_a_camera_keeps_alone_is_what_its_margins_say():
     found = rules_of().allowed(spread())
     assert 5 < found.sum() < len(found) - 5
     np.testing.assert_array_equal(found, [kept_by(each[None]) for each in spread()])
+    one = spread()[found][:1]
+    share = RuleCheck(mount().rig(one), street().ego, RULES).margins[0].value
+    for over in (0.5, 1.5):
+        tight = dataclasses.replace(RULES, own_body=share - over * SPARED)
+        assert rules_of(tight).allowed(one)[0] == kept_by(one, tight) == (over < 1.0)
 
 
 def test_pairs_in_conflict_are_those_of_all_pairs():
@@ -72,10 +77,8 @@ def test_the_selection_is_the_best_of_all_rigs_that_keep_the_rules():
     pose = spread(18)
     pool = CameraPool.empty(streets(), cameras_of(mount=mount())).extended(pose)
     rules = rules_of()
-    problem = SelectionProblem.create(
-        pool.detection_probability, 2, conflict=rules.conflict(pose), rows=rules.rows(pose)
-    )
-    found = select(problem, gap=0.0)
+    limits = {"conflict": rules.conflict(pose), "rows": rules.rows(pose)}
+    found = select(SelectionProblem.create(pool.detection_probability, 2, **limits), gap=0.0)
     share = np.full(pool.detection_probability.shape[1], 1.0 / pool.detection_probability.shape[1])
     value = {
         rig: expected_miss_rate(pool.detection_probability[list(rig)], share)

@@ -59,11 +59,17 @@ def test_an_animation_of_a_result_ends_with_it(result, tmp_path):
         assert (shown.n_frames, shown.size) == (3, SMALL)  # two iterations and the result
 
 
-def test_an_evaluation_is_a_figure_of_recall(placement, result, tmp_path):
-    evaluation = wa.evaluate({"start": result.start, "optimised": result.rig}, wa.town([1000]), placement)
+def test_an_evaluation_is_a_figure_of_what_is_detected_and_of_differences(placement, result, tmp_path):
+    rigs = {"optimised": result.rig, "start": result.start, "by_hand": wa.highest_rig(placement)}
+    evaluation = wa.evaluate(rigs, wa.town([1000, 1001]), placement)
+    [axis] = drawing_of(evaluation, Canvas(), kind="differences").axes
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["than start", "than by hand"]
+    shown = [line.get_xdata()[0] for line in axis.lines if line.get_marker() == "o"]
+    fewer = [evaluation.misses[name] - evaluation.misses["optimised"] for name in ("start", "by_hand")]
+    np.testing.assert_allclose(shown, fewer, atol=1e-9)
     figure = drawing_of(evaluation, Canvas())
     titles = [axis.get_title("left") for axis in figure.axes]
-    assert titles == ["Recall by distance [m]", "Recall by sector", "Recall by category"]
+    assert titles == ["By distance [m]", "By sector", "By class"]
     for axis, by in zip(figure.axes, ("distance_m", "sector", "category"), strict=True):
         groups = evaluation.metrics["start"].recall_by[by]
         shown = [f"{name}  ({group.objects})" for name, group in groups.items() if group.objects]

@@ -138,8 +138,8 @@ def test_cameras_have_their_names_of_several_rigs_under_the_names_of_these():
     assert list(camera_handles({"a": rig(3), "b": some})) == ["Cameras"]
     found = camera_handles({"a": some, "b": other})
     assert {key: [each.get_label() for each in handles] for key, handles in found.items()} == {
-        "Cameras of a": ["0 cam_0", "1 cam_1"],
-        "Cameras of b": ["0 other_cam_0", "1 other_cam_1"],
+        "Cameras, a": ["0 cam_0", "1 cam_1"],
+        "Cameras, b": ["0 other_cam_0", "1 other_cam_1"],
     }
 
 

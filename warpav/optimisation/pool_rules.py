@@ -29,6 +29,7 @@ from warpav.sight.requirement import Body
 from warpav.sight.rules import (
     AZIMUTH_STEP_RAD,
     NEAR_M,
+    SPARED,
     Rules,
     border_margin,
     crossing_angle_rad,
@@ -126,11 +127,12 @@ class PoolRules:
             views, models = self.cameras.sides[side].in_ego(own)
             if rules.own_body is not None or rules.own_body_wide is not None:
                 limit = np.array([own_body_limit(rules, model) for model in models])
-                result.breaks[row, 0] |= self._body_shares(side, own, views, models)[0] > limit
+                result.breaks[row, 0] |= self._body_shares(side, own, views, models)[0] > limit + SPARED
             if rules.horizon is not None:
-                result.breaks[row, 1] |= horizon_margin(views, models) < rules.horizon
+                result.breaks[row, 1] |= horizon_margin(views, models) < rules.horizon - SPARED
             if rules.crossing_rad is not None:
-                result.breaks[row, 2] |= crossing_angle_rad(views, middle_m) < rules.crossing_rad
+                short_rad = rules.crossing_rad - crossing_angle_rad(views, middle_m)
+                result.breaks[row, 2] |= np.degrees(short_rad) > SPARED
             cameras = self._rig_cameras(side, own, views, models)
             point_m = np.concatenate([self._ring_m, self._near_m.reshape(-1, 3)])
             seen = sight(cameras, point_m, self._ground).seen
@@ -192,10 +194,8 @@ class PoolRules:
         assert self.rules.housing is not None
         row, view, model, corner_m = self._expanded(pose)
         other_row, _, _, other_corner_m = self._expanded(others)
-        centre_m, radius_m = (
-            other_corner_m.mean(axis=1),
-            0.5 * np.linalg.norm(other_corner_m[:, 7] - other_corner_m[:, 0], axis=1),
-        )
+        centre_m = other_corner_m.mean(axis=1)
+        radius_m = 0.5 * np.linalg.norm(other_corner_m[:, 7] - other_corner_m[:, 0], axis=1)
         found: set[tuple[int, int]] = set()
         for k in range(len(row)):
             to_m = centre_m - view[k][:3, 3]

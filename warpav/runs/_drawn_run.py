@@ -13,6 +13,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.rig.rig import Rig
 from warpav.runs._events import of_modules, trajectory
+from warpav.runs._rig_evaluation import heading_of
 from warpav.runs.config import BY_HAND, Config
 from warpav.view import ANIMATION_PX, Canvas, drawing_of, draws
 
@@ -50,7 +51,7 @@ def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) ->
     if kind == "sheet":
         options["vehicle"] = vehicle_name(config)
     is_comparison = kind in COMPARED_KINDS and len(rigs) > 1
-    return rigs if is_comparison else list(rigs.values())[-1], options
+    return {heading_of(name): rig for name, rig in rigs.items()} if is_comparison else list(rigs.values())[-1], options
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,6 +60,7 @@ class DrawnRun:
 
     name: str
     config: Config
+    start_name: str  # where rigs are compared
     start: Rig
     rig: Rig
     all_events: Sequence[Mapping[str, Any]]
@@ -126,8 +128,8 @@ class DrawnRun:
 
     @property
     def rigs(self) -> dict[str, Rig]:
-        """Start and result by name."""
-        return {BY_HAND if self.config.rig.start == BY_HAND else "start": self.start, "optimised": self.rig}
+        """Start and result by what they are called on figures."""
+        return {heading_of(self.start_name): self.start, heading_of("optimised"): self.rig}
 
     def nearest_iteration(self) -> int:
         """The iteration before whose step the cameras stood nearest to those of the result; from 0."""
@@ -192,11 +194,12 @@ def _view(
 def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None, **parts: Any) -> Any:  # noqa: ANN401
     drawn = run.drawn(scene=scene)
     shown, options = fitting(kind, drawn.rigs, drawn.scene, drawn.config)
-    return drawing_of(shown, canvas, kind=kind, **options, **parts)
+    by_name = {part: {heading_of(name): each for name, each in (found or {}).items()} for part, found in parts.items()}
+    return drawing_of(shown, canvas, kind=kind, **options, **by_name)
 
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    """Where the cameras started, how they moved, and where they ended, from above."""
+    """How the cameras moved, and where they ended, from above; a start that is another rig, by hand, is left out."""
     from warpav.view.figures import top_view_figure
 
     drawn = run.drawn(scene=scene)
@@ -204,7 +207,7 @@ def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any: 
         rig=drawn.rig,
         ego=drawn.scene.ego,
         mount_surface=drawn.surface.over_ground,
-        rig_initial=drawn.start,
+        rig_initial=None if drawn.start_name == BY_HAND else drawn.start,
         trajectory_m=trajectory(drawn.events),
         shows_zone=drawn.config.method != "thesis",
         heading=canvas.title,

@@ -314,6 +314,7 @@ class Result:
         return DrawnRun(
             "result",
             placement.config,
+            self.start_name,
             self.start,
             self.rig,
             [asdict(record) for record in self.records],
@@ -442,7 +443,7 @@ def _tolerance(result: Result, test: Sequence[AssignedScene]) -> ToleranceTable 
     angle_rad = _TOLERANCE_RAD if given.mount_error_deg is None else math.radians(given.mount_error_deg)
     errors = MountErrors(given.mount_error_m or _TOLERANCE_M, angle_rad)
     found = tolerance_on(result.found, scenes, result.placement, errors, sample_count=_TOLERANCE_DRAWS)
-    return None if found is None else ToleranceTable(**found.to_json(), scenes=len(scenes))
+    return None if found is None else ToleranceTable(**found.to_json())
 
 
 def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[str, Rig | None]]:

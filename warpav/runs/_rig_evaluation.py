@@ -69,6 +69,11 @@ _RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category":
 """Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
 
 
+def heading_of(name: str) -> str:
+    """A rig's name where it is read: above a column, on a figure."""
+    return {"optimised": "found", "by_hand": "by hand"}.get(name, name)
+
+
 class _Part(BaseModel):
     """A part of the file; what nobody shows is left out, and what older versions did not write is None or empty."""
 
@@ -171,7 +176,7 @@ class _WorstEffect(_Part):
 
 
 class ToleranceTable(_Part):
-    """What `MountTolerance.to_json` gives, on so many scenes."""
+    """What `MountTolerance.to_json` gives."""
 
     position_m: float = Field(gt=0.0)
     angle_rad: float = Field(gt=0.0)
@@ -184,7 +189,8 @@ class ToleranceTable(_Part):
     def tolerance(self) -> MountTolerance:
         """The tolerance itself; of the draws only their mean."""
         samples = np.full(self.draws.count, self.draws.expected_misses_per_100)
-        return MountTolerance(self.position_m, self.angle_rad, self.expected_misses_per_100, samples, self.effects)
+        nominal = self.expected_misses_per_100
+        return MountTolerance(self.position_m, self.angle_rad, nominal, samples, self.effects, self.scenes)
 
 
 class _Need(_Part):
@@ -397,12 +403,32 @@ class RigEvaluation(_Part):
         columns = (f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.arms)
         return Table(columns, (*self.metric_table().rows, *rows), _CAPTION)
 
+    @property
+    def is_worse_than_start(self) -> bool:
+        """Whether the objective of the rig that was found is higher than that of its start, or no number.
+
+        Then the start is the rig of the run, unless it breaks rules that the other keeps.
+        """
+        training = self.training_objective
+        if training is None or training.start is None or self.rules is not None:
+            return False
+        return training.optimised is None or training.optimised > training.start
+
+    @property
+    def rows(self) -> dict[str, tuple[str, float, int]]:
+        """Those of `TABLE_ROWS` that are known of some rig; the objective of a search by a pool is expected misses."""
+        arms = self.arms.values()
+        rows = {name: row for name, row in TABLE_ROWS.items() if any(getattr(arm, name) is not None for arm in arms)}
+        if "objective" in rows and any("object_weight" in arm.per_scene for arm in arms):
+            weighted = "" if self.best.weighted_misses_per_100 is None else ", weighted"
+            rows["objective"] = f"expected misses per 100{weighted}", 100.0, 1
+        return rows
+
     def metric_table(self) -> Table:
-        """The metrics of `TABLE_ROWS` that are known of some rig."""
+        """The metrics that are known of some rig."""
         rows = [
             (heading, *(_cell(getattr(arm, name), factor, digits) for arm in self.arms.values()))
-            for name, (heading, factor, digits) in TABLE_ROWS.items()
-            if any(getattr(arm, name) is not None for arm in self.arms.values())
+            for name, (heading, factor, digits) in self.rows.items()
         ]
         return Table((f"{self.scene_count} test scenes", *self.arms), tuple(rows))
 

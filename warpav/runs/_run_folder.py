@@ -309,6 +309,7 @@ class RunFolder:
         return DrawnRun(
             str(self.path),
             known,
+            BY_HAND if BY_HAND in (self.evaluation() or {}).get("arms", ()) else "start",
             start,
             rig,
             self.events(),

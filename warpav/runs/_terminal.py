@@ -69,7 +69,7 @@ def drawn(table: Table, *, has_frame: bool = False) -> Group:
     """A table for the console, numbers to the right, and its caption below."""
     found = TerminalTable(has_frame=has_frame)
     for k, name in enumerate(table.columns):
-        style = "bold" if name == "optimised" else None
+        style = "bold" if name == "found" else None
         side = "right" if k else "left"
         found.add_column(name, no_wrap=has_frame and not k, justify=side, overflow="fold", style=style)
     for row in table.rows:

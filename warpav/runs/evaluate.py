@@ -28,7 +28,7 @@ from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs._mounts import camera_mount, constraints_of
 from warpav.runs._progress import shown_progress
-from warpav.runs._rig_evaluation import RigEvaluation, seen_objects
+from warpav.runs._rig_evaluation import RigEvaluation, heading_of, seen_objects
 from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
@@ -93,28 +93,25 @@ def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 
 
     if not evaluation.objects:
         raise ArgumentError("kind", "expected an evaluation with objects, got none")
-    headings = {"distance_m": "Recall by distance [m]", "sector": "Recall by sector", "category": "Recall by category"}
+    headings = {"distance_m": "By distance [m]", "sector": "By sector", "category": "By class"}
     groupings = {
-        heading: {name: metrics.recall_by[by] for name, metrics in evaluation.metrics.items()}
+        heading: {heading_of(name): metrics.recall_by[by] for name, metrics in evaluation.metrics.items()}
         for by, heading in headings.items()
     }
-    title = canvas.title or f"{len(evaluation.scenes)} scenes, {len(evaluation.objects)} objects"
-    return recall_figure(groupings, title=title)
+    counted = f"{evaluation.scene_count} scenes, {len(evaluation.objects)} objects"
+    return recall_figure(groupings, title=canvas.title or f"Share detected at equal false alarms, {counted}")
 
 
 @draws(RigEvaluation, "differences", is_figure=True)
 def _differences_drawing(evaluation: RigEvaluation, _canvas: Canvas) -> Any:  # noqa: ANN401 (as above)
     from warpav.view.figures import differences_figure
 
-    rows = {
-        f"{heading}\nagainst {other}": found[metric]
-        for metric, heading in {"tp_detection_rate": "recall", "ap50_pooled": "AP50"}.items()
-        for other, found in (evaluation.paired or evaluation.compared().paired).items()
-        if metric in found and None not in (found[metric].low, found[metric].high)
-    }
-    if not rows:
+    paired = evaluation.paired or evaluation.compared().paired
+    rows = {heading_of(other): found.get("misses_at_equal_false_alarms") for other, found in paired.items()}
+    known = {name: found for name, found in rows.items() if found and None not in (found.low, found.high)}
+    if not known:
         raise ArgumentError("kind", "expected rigs to compare on several scenes, got none")
-    return differences_figure(rows, evaluation.first)
+    return differences_figure(known, heading_of(evaluation.first))
 
 
 def evaluate_on(

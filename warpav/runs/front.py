@@ -92,7 +92,7 @@ class Front:
         columns = ("rig", "cameras", "modules", "cost", "seen", "bound", "unseen, expected", "unseen, detector", "")
         seen = "misses and points of the requirements together" if self.has_requirements else "misses"
         where = "on the scenes of the search, where no rig of the pool is below the bound"
-        caption = f"Per 100: {seen} {where}; and misses on unseen ones."
+        caption = f"Per 100: {seen} {where}; and misses on unseen ones, the detector's at equal false alarms."
         return Table(columns, tuple(rows), caption)
 
     def save(self, folder: str | Path) -> Path:
@@ -189,7 +189,7 @@ def front(
     for each in points:
         outage = evaluation.camera_outage[each.name]
         expected = None if outage is None else outage.expected_misses_per_100
-        found = evaluation.metrics[each.name].misses_per_100
+        found = evaluation.misses[each.name]
         judged.append(replace(each, misses_per_100=found, expected_misses_per_100=expected))
     return Front(_without_dominated(judged), by, evaluation.scenes, evaluation, has_requirements)
 

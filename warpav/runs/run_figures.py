@@ -64,11 +64,6 @@ class RunPictures:
         found = folder.found_rig()
         return cls(folder, placement, folder.rig("initial"), found, placement.test, placement.shown, evaluation)
 
-    @property
-    def rigs(self) -> dict[str, Rig]:
-        """Start and result by their headings."""
-        return {self.evaluation.start: self.start, "optimised": self.found}
-
     def draw(self, progress: Progress, *, full: bool) -> None:
         """Draw the pictures of the first page, or all; what this machine cannot draw is said."""
         self._draw_few()
@@ -88,7 +83,7 @@ class RunPictures:
         has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
         self._plot(drawn, "search", "search" if has_search else "loss_curves")
         self._plot(drawn, "ground", misses_per_100=self.evaluation.misses)
-        seen = {name: self._seen(rig, self.test[0]) for name, rig in self.rigs.items()}
+        seen = {name: self._seen(rig, self.test[0]) for name, rig in drawn.rigs.items()}
         detections_sheet(seen, self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
@@ -106,10 +101,10 @@ class RunPictures:
         for kind in ("plan", "near_field", "redundancy"):
             self._plot(drawn, kind)
         if placement.fitted_probabilities:
-            self._plot(self.rigs, "range", ego=self.scene.ego, probability=self._probability)
-        for name, met in requirements_of(self.rigs, placement).items():
-            file = self.folder.figure_path(f"requirements_{name}")
-            requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)
+            self._plot(drawn.rigs, "range", ego=self.scene.ego, probability=self._probability)
+        for name, met in requirements_of(drawn.rigs, placement).items():
+            file = self.folder.figure_path(f"requirements_{name.replace(' ', '_')}")
+            requirement_map(file, result=met, rig=drawn.rigs[name], ego=placement.ego)
         for kind in ("recall", "differences"):
             with contextlib.suppress(ArgumentError):  # too few objects or scenes
                 self._plot(self.evaluation, kind)
@@ -118,7 +113,7 @@ class RunPictures:
         first, *others = self.test
         hardest = sorted((each for each in others if left[each.scene.name]), key=lambda each: -left[each.scene.name])
         for which, shown in zip(SHOWN_SCENES, (first, *hardest), strict=False):
-            seen = {name: self._seen(rig, shown) for name, rig in self.rigs.items()}
+            seen = {name: self._seen(rig, shown) for name, rig in drawn.rigs.items()}
             for camera in dict.fromkeys(camera for of_rig in seen.values() for camera in of_rig):
                 row = {name: of_rig[camera] for name, of_rig in seen.items() if camera in of_rig}
                 detections_sheet({shown.scene.name: row}, self.folder.figure_path(f"{which}_{camera}"))
@@ -128,6 +123,7 @@ class RunPictures:
         return DrawnRun(
             str(self.folder.path),
             self.placement.config,
+            self.evaluation.start,
             self.start,
             self.found,
             self.folder.events(),
@@ -141,14 +137,13 @@ class RunPictures:
 
     def _draw_rig(self) -> None:
         """Start and result on the vehicle in the first test scene, side by side."""
-        from warpav.runs.report._statements import heading_of
         from warpav.view import render_rgb, save_rgb
 
-        path_m = {"optimised": trajectory(self.folder.events())}
         images = []
-        for name, rig in self.rigs.items():
-            canvas = Canvas(title=heading_of(name), window_size=_RIG_PX, off_screen=True)
-            plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m.get(name))
+        for name, rig in self._drawn.rigs.items():
+            canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
+            path_m = trajectory(self._drawn.events) if rig is self.found else None
+            plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m)
             try:
                 images.append(render_rgb(plotter))
             finally:

@@ -48,6 +48,9 @@ SECTORS = 8
 _IMAGE_PX, _VIEWS_AT_ONCE = 160, 8
 """Width of the images in which the own body is measured, and how many are drawn at once."""
 
+SPARED = 1e-4
+"""By how much a camera may break what it must keep alone, a share of an image or degrees: less is rounding."""
+
 _MIDDLE_M = 0.3
 """A camera nearer to the middle of the vehicle does not look across it [m]."""
 
@@ -261,7 +264,7 @@ class RuleCheck:
     def _worst(self, rule: str, value: np.ndarray, limit: np.ndarray, unit: str, *, most: bool = False) -> RuleMargin:
         slack = limit - value if most else value - limit
         k = int(slack.argmin())
-        return RuleMargin(rule, (self._names[k],), float(value[k]), float(limit[k]), unit, bool(slack[k] >= -1e-4))
+        return RuleMargin(rule, (self._names[k],), float(value[k]), float(limit[k]), unit, bool(slack[k] >= -SPARED))
 
     def _body_share(self, camera: RigCamera) -> float:
         body = own_body(self.vehicle, camera.behind_glass, self.device)
@@ -312,15 +315,8 @@ def widest_gap(seen: np.ndarray) -> int:
 def ring_m(vehicle: Mesh) -> np.ndarray:
     """Points all round a vehicle where a road user must be in some image [m], float64 [direction, 3]; first ahead."""
     azimuth_rad = np.arange(round(2.0 * math.pi / AZIMUTH_STEP_RAD)) * AZIMUTH_STEP_RAD
-    x_m, y_m = Body.of(vehicle).centre_m
-    return np.stack(
-        [
-            x_m + _RING_M * np.cos(azimuth_rad),
-            y_m + _RING_M * np.sin(azimuth_rad),
-            np.full(len(azimuth_rad), _RING_HEIGHT_M),
-        ],
-        axis=1,
-    )
+    place_m = Body.of(vehicle).centre_m + _RING_M * np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
+    return np.pad(place_m, ((0, 0), (0, 1)), constant_values=_RING_HEIGHT_M)
 
 
 def near_ring_m(vehicle: Mesh, distance_m: float) -> np.ndarray:

@@ -79,7 +79,7 @@ def camera_rgb(index: int) -> Rgb:
 
 BASELINE_RGB: dict[str, Rgb] = {
     "start": MUTED_RGB,
-    "by_hand": MUTED_RGB,
+    "by hand": MUTED_RGB,
     "highest": camera_rgb(1),
     "random": camera_rgb(4),
 }

@@ -159,8 +159,8 @@ def plot(
     What errors of mounting cost (`warpav.mount_tolerance`) is a heat map of cameras by degrees of freedom,
     with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the
     bars.
-    An evaluation of rigs is a figure of their recall by distance, sector and category; ``differences`` are those of
-    recall and AP50 of the first rig to the others. Such figures and sheets may also be ``.pdf`` and ``.svg``.
+    An evaluation of rigs is a figure of what they detect at equal false alarms by distance, sector and class;
+    ``differences``, how many fewer the first misses than others. They and sheets may also be ``.pdf`` and ``.svg``.
 
     Args:
         obj: What to show.

@@ -194,6 +194,7 @@ class MountTolerance:
     nominal: float
     samples: np.ndarray
     effects: tuple[MountEffect, ...]
+    scenes: int
 
     @property
     def worst(self) -> MountEffect:
@@ -227,6 +228,7 @@ class MountTolerance:
             },
             "effects": [effect.to_json() for effect in self.effects],
             "worst": {"camera": self.worst.camera, "degree": self.worst.degree, "change_per_100": self.worst.worst},
+            "scenes": self.scenes,
         }
 
     @classmethod
@@ -273,7 +275,7 @@ class MountTolerance:
                 below, above = (_perturb(plain, {c: ends[k, c]}, share) - nominal for ends in single)
                 effects.append(MountEffect(name, degree, float(slope[c, columns[k]]), below, above))
         samples = np.array([_perturb(each, share=share) for each in together])
-        return cls(errors.position_m, errors.angle_rad, nominal, samples, tuple(effects))
+        return cls(errors.position_m, errors.angle_rad, nominal, samples, tuple(effects), len(scenes))
 
 
 def _slopes(

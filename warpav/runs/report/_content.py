@@ -55,7 +55,8 @@ def read_content(folder: RunFolder) -> RunContent:
     if not events and evaluation is None:
         raise InputError(f"{folder.path}: run folder: expected at least one iteration to report on, got none")
     scenes = None if config is None else config.scenes.search_scene_count
-    is_best = config is None or config.optimiser.keep == "best"
+    is_worse = evaluation is not None and evaluation.is_worse_than_start  # then rig_best.yaml is the start
+    is_best = not is_worse and (config is None or config.optimiser.keep == "best")
     roles: Sequence[Literal["best", "final"]] = ("best", "final") if is_best else ("final", "best")
     kept: list[Literal["best", "final"]] = [role for role in roles if folder.rig_path(role).is_file()]
     return RunContent(

@@ -17,7 +17,7 @@ from warpav.optimisation.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOut
 from warpav.optimisation.evaluation.statistics import Difference
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
-from warpav.runs._rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation, Robust
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, Robust, heading_of
 from warpav.runs.report._content import RunContent
 from warpav.sight.requirement import SECTORS
 from warpav.sight.rules import RuleMargin
@@ -68,13 +68,13 @@ def percent(value: float | None, digits: int = 1) -> str:
     return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
 
 
-def interval(difference: Difference, factor: float = 1.0, digits: int = 3) -> str:
-    """A difference with its 95 % interval, times a factor."""
-    mean, low, high = (
-        signed(None if each is None else factor * each, digits)
-        for each in (difference.mean, difference.low, difference.high)
-    )
-    return mean if NONE in (low, high) else f"{mean} [{low}, {high}]"
+def gain(found: Difference, metric: str, factor: float = 1.0, digits: int = 1) -> str:
+    """By how much the first rig is better than another, with its 95 % interval; negative where it is worse."""
+    factor *= -1.0 if metric in LOWER_IS_BETTER else 1.0
+    mean, low, high = (None if each is None else factor * each for each in (found.mean, found.low, found.high))
+    if low is None or high is None:
+        return signed(mean, digits)
+    return f"{signed(mean, digits)} [{signed(min(low, high), digits)}, {signed(max(low, high), digits)}]"
 
 
 def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
@@ -115,12 +115,10 @@ def worse_than_start(evaluation: RigEvaluation) -> list[str]:
     """In what the rig that a run has found is worse than its start, a sentence each."""
     found = []
     training = evaluation.training_objective
-    if training is not None and _is_worse_than_start(evaluation):
+    if training is not None and evaluation.is_worse_than_start:
         end = "no number" if training.optimised is None else f"{training.optimised:.4g}"
-        found.append(
-            f"the optimised rig has objective {end}, its start {training.start:.4g}; the rig of the run, "
-            "rig_best.yaml, is the start"
-        )
+        text = f"the rig that was found has objective {end}, its start {training.start:.4g}"
+        found.append(f"{text}; the rig of the run, rig_best.yaml, is the start")
     missed = evaluation.paired.get(evaluation.start, {}).get("misses_at_equal_false_alarms")
     if missed is not None and tone_of(missed, lower_is_better=True) == "bad" and evaluation.start in evaluation.arms:
         before, after = (number(evaluation.misses[name], 1) for name in (evaluation.start, evaluation.first))
@@ -147,12 +145,12 @@ def headline(run: RunContent) -> Statement:
     found = None if other is None else evaluation.paired.get(other, {}).get("misses_at_equal_false_alarms")
     if other is not None and found is not None and found.mean is not None:
         tone = tone_of(found, lower_is_better=True)
-        text += f", {_arm(other)} {number(missed[other], 1)}: a difference of {interval(found, digits=1)}"
+        text += f", {_arm(other)} {number(missed[other], 1)}: {gain(found, 'misses_at_equal_false_alarms')} fewer"
         if found.low is None or found.scenes < _MIN_SCENES:
             text += f"; {_counted(found.scenes, 'scene')} cannot tell them apart"
         else:
             text += f"; the 95{SPACE}% interval {'includes' if tone == 'open' else 'excludes'} 0"
-    if _is_worse_than_start(evaluation):
+    if evaluation.is_worse_than_start:
         return Statement("", f"Worse than its start, so the rig of this run is the start. {text}.", "bad")
     return Statement("", f"{text}.", tone)
 
@@ -164,35 +162,22 @@ def compared_with(evaluation: RigEvaluation) -> str | None:
     return next((name for name in evaluation.arms if name != evaluation.first), None)
 
 
-def metric_rows(run: RunContent, names: Iterable[str] = TABLE_ROWS) -> dict[str, tuple[str, float, int]]:
-    """The rows of `TABLE_ROWS` that are known of the first rig; a search's objective is its expected misses."""
-    evaluation = run.evaluation
-    if evaluation is None:
-        return {}
-    rows = {name: TABLE_ROWS[name] for name in names if getattr(evaluation.best, name) is not None}
-    if "objective" in rows and run.certificate is not None and evaluation.robust is None:
-        is_weighted = evaluation.best.weighted_misses_per_100 is not None
-        rows["objective"] = "expected misses per 100" + (", weighted" if is_weighted else ""), 100.0, 1
-    return rows
-
-
 def cautions(run: RunContent) -> list[Statement]:
     """What a reader should know before he builds on the rig, the gravest first."""
     evaluation = run.evaluation
     if evaluation is None:
         return []
-    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _worse(run, evaluation)]
+    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
     found += [_told_apart(run, evaluation), _false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
     return [each for each in found if each is not None]
 
 
-def _worse(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+def _worse(evaluation: RigEvaluation) -> Statement | None:
     """In what the first rig is worse than others, where the interval excludes 0, or which ground is."""
     other, first, parts = compared_with(evaluation), evaluation.first, []
     for name, differences in evaluation.paired.items():
-        rows = metric_rows(run, TABLE_ROWS if name == other else ("misses_at_equal_false_alarms",))
-        for metric, (heading, factor, digits) in rows.items():
-            found = differences.get(metric)
+        for metric, (heading, factor, digits) in evaluation.rows.items():
+            found = differences.get(metric) if name == other or metric == "misses_at_equal_false_alarms" else None
             if found is not None and tone_of(found, lower_is_better=metric in LOWER_IS_BETTER) == "bad":
                 after, before = (getattr(evaluation.arms[each], metric) * factor for each in (first, name))
                 parts.append(f"{heading} {number(after, digits)} ({heading_of(name)} {number(before, digits)})")
@@ -254,15 +239,12 @@ def _false_alarms(run: RunContent, evaluation: RigEvaluation) -> Statement | Non
     return Statement("False alarms", text)
 
 
-def _is_worse_than_start(evaluation: RigEvaluation) -> bool:
-    """Whether the objective of the rig that was found is higher than that of its start, or no number.
-
-    Then the start is the rig of the run, unless it breaks rules that the other keeps.
-    """
-    training = evaluation.training_objective
-    if training is None or training.start is None or evaluation.rules is not None:
-        return False
-    return training.optimised is None or training.optimised > training.start
+def rigs_of_run(run: RunContent) -> list[tuple[str, Rig | None]]:
+    """The rig of a run, and the one that it is compared with, by what they are; a start that is better is first."""
+    is_by_hand = run.evaluation is not None and run.evaluation.start == "by_hand"
+    start = "The rig by hand" if is_by_hand else "The rig at the start"
+    rigs = [("The rig that was found", run.result), (start, run.start)]
+    return rigs[::-1] if run.evaluation is not None and run.evaluation.is_worse_than_start else rigs
 
 
 def summary(run: RunContent) -> list[Statement]:
@@ -682,11 +664,6 @@ def _change(before: float, after: float) -> str:
 
 def _arm(name: str) -> str:
     return _BASELINES.get(name, name)
-
-
-def heading_of(name: str) -> str:
-    """A rig's name above a column."""
-    return {"optimised": "found", "by_hand": "by hand"}.get(name, name)
 
 
 def _counted(count: int, noun: str) -> str:

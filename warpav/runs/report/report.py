@@ -19,7 +19,7 @@ from warpav.core.table import Table
 from warpav.optimisation.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
 from warpav.runs._mounts import has_zones
-from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, heading_of
 from warpav.runs._run_folder import RunFolder
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import _statements as words
@@ -47,21 +47,21 @@ _FURTHER_SHOWN = 5
 """Places of a further camera that are listed, as many as carry ranks in the figure."""
 
 _FIGURES = {
-    "rig": "Right the rig that was found, left the one that it is compared with, in a test scene",
-    "recall": "Recall by distance, sector and class",
-    "differences": "Differences to the other rigs with 95 % intervals",
+    "rig": "Left the rig it is compared with, right the one found",
+    "recall": "Share detected at equal false alarms, by distance, sector and class",
+    "differences": "How many fewer of 100 it misses than other rigs, at equal false alarms",
     "ground": "Ground near the vehicle that cameras see, that the body hides, and that is in no image",
     "plan": "How far a car is large enough in an image",
     "near_field": "How far from the body the first visible point is, by height",
     "requirements_start": "Points that have to be seen, and how many cameras see them: at the start",
     "requirements_by_hand": "Points that have to be seen, and how many cameras see them: by hand",
-    "requirements_optimised": "Points that have to be seen, and how many cameras see them: found",
+    "requirements_found": "Points that have to be seen, and how many cameras see them: found",
     "detections": "A test scene, with boxes at the detector's own threshold",
     "range": "Up to which distance road users are detected",
     "redundancy": "How many cameras see a road user, and without the worst camera to lose",
     "sensitivity": "What errors of mounting and the loss of a camera cost",
-    "further_cameras": "What each further camera would add",
-    "rig_top_view": "Where the cameras started, moved and ended",
+    "further_cameras": "What each further camera would add; of a symmetric pair the left one is drawn",
+    "rig_top_view": "How the cameras moved, and where they ended; of a symmetric place to mount the left half is drawn",
     "search": "The best rig so far, and the bound (dashed), over camera renders",
     "loss_curves": "Loss, terms, multipliers and closest cameras over the iterations",
 }
@@ -136,9 +136,8 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "cautions": words.cautions(run),
         "next": next_commands(run, str(folder.path)),
         "told": lambda *abouts: [each for each in statements if each.about in abouts],
-        "heading_of": words.heading_of,
-        "poses": _poses(run.result),
-        "start_poses": _poses(run.start),
+        "heading_of": heading_of,
+        "rigs": [(name, _poses(rig)) for name, rig in words.rigs_of_run(run)],
         "free": _free(run),
         "metrics": _metrics(run),
         "sensitivity": words.sensitivity(run),
@@ -165,7 +164,7 @@ def _tables(run: RunContent) -> dict[str, Table | None]:
         "left": _left(evaluation),
         "rules": words.rule_table(evaluation),
         "constraints": _constraints(evaluation),
-        "outage": None if outages is None else outages.table(words.heading_of(evaluation.first)),
+        "outage": None if outages is None else outages.table(heading_of(evaluation.first)),
     }
 
 
@@ -179,7 +178,7 @@ def _typeset(table: Table | None) -> Table | None:
         return words.NONE if text == "-" else minus.sub(words.MINUS, re.sub(r"(?<=\d)%", f"{words.SPACE}%", text))
 
     rows = tuple((first, *map(cell, cells)) for first, *cells in table.rows)
-    return Table(tuple(map(words.heading_of, table.columns)), rows)
+    return Table(tuple(map(heading_of, table.columns)), rows)
 
 
 def _metrics(run: RunContent) -> list[tuple[str, list[tuple[str, str, str]]]]:
@@ -188,7 +187,7 @@ def _metrics(run: RunContent) -> list[tuple[str, list[tuple[str, str, str]]]]:
     if evaluation is None:
         return []
     rows = []
-    for metric, (heading, factor, digits) in words.metric_rows(run).items():
+    for metric, (heading, factor, digits) in evaluation.rows.items():
         cells = []
         for name, arm in evaluation.arms.items():
             value, found = getattr(arm, metric), evaluation.paired.get(name, {}).get(metric)
@@ -197,7 +196,7 @@ def _metrics(run: RunContent) -> list[tuple[str, list[tuple[str, str, str]]]]:
                 cells.append((text, "", "open"))
             else:
                 tone = words.tone_of(found, lower_is_better=metric in LOWER_IS_BETTER)
-                cells.append((text, words.interval(found, factor, digits), tone))
+                cells.append((text, words.gain(found, metric, factor, digits), tone))
         rows.append((heading, cells))
     return rows
 

@@ -6,6 +6,7 @@ import math
 
 from warpav.core.errors import one_line
 from warpav.core.table import Table
+from warpav.runs._rig_evaluation import heading_of
 from warpav.runs._terminal import Group, Terminal, drawn, shown
 from warpav.runs.report._content import RunContent
 from warpav.runs.report._statements import (
@@ -15,12 +16,11 @@ from warpav.runs.report._statements import (
     Statement,
     cautions,
     compared_with,
-    heading_of,
+    gain,
     headline,
-    interval,
-    metric_rows,
     number,
     percent,
+    rigs_of_run,
     summary,
 )
 
@@ -39,15 +39,18 @@ def show_run(console: Terminal, run: RunContent) -> None:
     for line in str(_compared(run)).splitlines():
         console.print(shown(line))
     _show(console, headline(run))
-    if run.result is not None:
-        for camera in run.result.cameras[:_MOST_CAMERAS]:
+    (name, rig), _ = rigs_of_run(run)
+    if rig is not None:
+        if rig is not run.result:
+            console.print(shown(f"{name}, which is the rig of this run (rig_best.yaml):"))
+        for camera in rig.cameras[:_MOST_CAMERAS]:
             x_m, y_m, z_m = camera.position_m
             angles = (math.degrees(each) for each in (camera.yaw_rad, camera.pitch_rad))
             yaw_deg, pitch_deg = (round(each, 2) + 0.0 for each in angles)
             place = f"x {x_m:6.3f}  y {y_m:6.3f}  z {z_m:6.3f} m   yaw {yaw_deg:6.1f}  pitch {pitch_deg:5.1f} deg"
             console.print(shown(f"  {camera.name:<16} {place}"))
-        if len(run.result.cameras) > _MOST_CAMERAS:
-            console.print(shown(f"  and {len(run.result.cameras) - _MOST_CAMERAS} more, see the rig's file"))
+        if len(rig.cameras) > _MOST_CAMERAS:
+            console.print(shown(f"  and {len(rig.cameras) - _MOST_CAMERAS} more, see the rig's file"))
     for asked in (evaluation.soiling, evaluation.load_states):
         if asked is not None:
             console.print(drawn(asked.table()))
@@ -56,16 +59,16 @@ def show_run(console: Terminal, run: RunContent) -> None:
 
 
 def _compared(run: RunContent) -> Table:
-    """What rigs miss, and what they do not see near the vehicle; the difference is that to the start."""
+    """What rigs miss, and what they do not see near the vehicle; last, how many fewer than the start."""
     evaluation = run.evaluation
     assert evaluation is not None
     arms, other = list(evaluation.arms)[:_MOST_ARMS], compared_with(evaluation)
     columns, blank = [heading_of(name) for name in arms], [] if other is None else [""]
-    rows: list[tuple[str, ...]] = []
-    for metric, (text, factor, digits) in metric_rows(run, _METRICS).items():
+    rows, known = list[tuple[str, ...]](), evaluation.rows
+    for metric, (text, factor, digits) in ((name, known[name]) for name in _METRICS if name in known):
         values = [getattr(evaluation.arms[name], metric) for name in arms]
         found = None if other is None else evaluation.paired.get(other, {}).get(metric)
-        difference = [] if other is None else ["" if found is None else interval(found, factor, digits)]
+        difference = [] if other is None else ["" if found is None else gain(found, metric, factor, digits)]
         cells = (number(None if each is None else factor * each, digits) for each in values)
         rows.append((text, *cells, *difference))
     ground = evaluation.ground
@@ -75,7 +78,7 @@ def _compared(run: RunContent) -> Table:
     for k, each in enumerate(evaluation.met.get(evaluation.first, [])):
         met = [evaluation.met[name][k] for name in arms]
         rows.append((f"points of {each.name} seen", *(percent(one.share, 0) for one in met), *blank))
-    last = [] if other is None else [f"{columns[0]} - {heading_of(other)} [95 %]"]
+    last = [] if other is None else [f"fewer than {heading_of(other)} [95 %]"]
     counted = f"{evaluation.scene_count} " + ("unseen scenes" if evaluation.training_objective else "scenes")
     first, *others = (tuple(map(_plain, row)) for row in ((counted, *columns, *last), *rows))
     return Table(first, tuple(others))
@@ -100,7 +103,7 @@ def show_everything(console: Terminal, run: RunContent) -> None:
             _print_arms(console, table, fixed)
     robustness = (each and each.table() for each in (evaluation.soiling, evaluation.load_states))
     outages = evaluation.camera_outage.get(evaluation.first)
-    for table in (outages and outages.table(evaluation.first), *robustness):
+    for table in (outages and outages.table(heading_of(evaluation.first)), *robustness):
         if table is not None:
             console.print(drawn(table, has_frame=True))
     for statement in (headline(run), *summary(run), *cautions(run)):
@@ -123,7 +126,7 @@ def _print_arms(console: Terminal, table: Table, fixed: int) -> None:
 
     def parts(size: int) -> list[Group]:
         chosen = [[*range(fixed + 1), *others[k : k + size]] for k in range(0, max(1, len(others)), size)]
-        cells = [table.columns, *table.rows]
+        cells = [tuple(map(heading_of, table.columns)), *table.rows]
         columns = [[tuple(row[k] for k in part) for row in cells] for part in chosen]
         return [drawn(Table(first, tuple(rows)), has_frame=True) for first, *rows in columns]
 

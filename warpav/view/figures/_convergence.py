@@ -26,13 +26,11 @@ def loss_figure(records: Sequence[Mapping[str, Any]], *, min_distance_m: float |
         raise InputError(f"run: expected records with the keys {', '.join(missing)}, which are missing")
     panels = list(_panels(records, min_distance_m).values())
     with figure_style():
-        rows, columns = -(-len(panels) // 2), min(2, len(panels))
+        rows = -(-len(panels) // 2)
         figure = new_figure(WIDTH_INCH, 0.4 + 2.6 * rows)
-        axes = figure.subplots(rows, columns, squeeze=False).flat
-        for axis, draw in zip(axes, panels, strict=False):
-            draw(axis)
-        for axis in list(axes)[len(panels) :]:
-            axis.set_axis_off()
+        grid = figure.add_gridspec(rows, 2)
+        for k, draw in enumerate(panels):  # an odd last one is as wide as two
+            draw(figure.add_subplot(grid[k // 2, k % 2 : None if k + 1 == len(panels) else k % 2 + 1]))
         return figure
 
 

@@ -228,7 +228,7 @@ def camera_handles(rigs: Mapping[str, Rig]) -> dict[str, list[Any]]:
     name = [camera.name for camera in largest.cameras]
     if all([camera.name for camera in rig.cameras] == name[: len(rig.cameras)] for rig in rigs.values()):
         return {"Cameras": named(largest)}
-    return {f"Cameras of {key}": named(rig) for key, rig in rigs.items()}
+    return {f"Cameras, {key}": named(rig) for key, rig in rigs.items()}
 
 
 # ------------------------------------------------------------------------------------------------- of runs

@@ -268,22 +268,17 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any
         return figure
 
 
-_LONG_TITLE = 14
-"""Titles of more letters stand in a line of their own."""
-
-
 def detections_sheet(rows: Mapping[str, Mapping[str, CameraObservation]], path: Path | str) -> Path:
     """Draw camera images in a grid with what was there, what was found and what was not.
 
     Ground truth is thin white, true positives green, false positives red, misses dashed orange.
     """
-    titles, seen = zip(*(each for panels in rows.values() for each in panels.items()), strict=True)
-    column_count, sample = max(map(len, rows.values())), seen[0].image_rgb
+    column_count = max(map(len, rows.values()))
+    height, width, _ = next(each for panels in rows.values() for each in panels.values()).image_rgb.shape
     edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
-    is_long = max(map(len, titles)) > _LONG_TITLE
-    row_inch = edge_inch * sample.shape[0] / sample.shape[1] + (0.5 if is_long else 0.3)
+    row_inch = edge_inch * height / width + 0.6
     with figure_style():
-        figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
+        figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + (0.4 if column_count > 1 else 0.6))
         grid = figure.subplots(len(rows), column_count, squeeze=False)
         for (heading, panels), axes in zip(rows.items(), grid, strict=True):
             for axis in axes:
@@ -300,7 +295,7 @@ def detection_handles() -> list[Any]:
     from matplotlib.lines import Line2D
 
     return [
-        Line2D([], [], color=hex_colour(TRUE_POSITIVE_RGB), linewidth=2.2, label="found"),
+        Line2D([], [], color=hex_colour(TRUE_POSITIVE_RGB), linewidth=2.2, label="detected"),
         Line2D([], [], color=hex_colour(MISS_RGB), linewidth=2.2, linestyle=(0, (3, 2)), label="missed"),
         Line2D([], [], color=hex_colour(FALSE_POSITIVE_RGB), linewidth=2.2, label="false alarm"),
         Line2D([], [], color=hex_colour(MUTED_RGB), linewidth=1.0, label="ground truth (white)"),
@@ -325,10 +320,9 @@ def draw_detections(axis: Any, text: str, seen: CameraObservation) -> None:  # n
         else:
             _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
     axis.set(xlim=(0, width), ylim=(height, 0))
-    found, false = f"{len(found_index)} of {int(present.sum())} found", len(detection) - len(found_index)
-    found += f", {false} false alarm{'' if false == 1 else 's'}" if false else ""
-    is_long = len(text) > _LONG_TITLE
-    axis.set_title(f"{text}\n{found}" if is_long else f"{text}: {found}", fontsize=9.5, fontweight="normal", pad=4)
+    false = len(detection) - len(found_index)
+    counts = f"{len(found_index)} of {int(present.sum())} detected\n{false} false alarm{'' if false == 1 else 's'}"
+    axis.set_title(f"{text}\n{counts}", fontsize=8.5, fontweight="normal", pad=4)
 
 
 def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **line: Any) -> None:  # noqa: ANN401

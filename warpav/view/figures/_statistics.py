@@ -94,25 +94,26 @@ _Groups = Mapping[str, Any]
 
 
 def differences_figure(rows: Mapping[str, Difference], first: str) -> Any:  # noqa: ANN401 (matplotlib)
-    """Differences of one rig to others with their intervals, by what they are called."""
+    """How many fewer of 100 one rig misses than others, by their names; ``rows``: what it misses more."""
     with figure_style():
-        figure = new_figure(0.5 * WIDTH_INCH, 0.9 + 0.42 * len(rows))
+        figure = new_figure(0.5 * WIDTH_INCH, 0.95 + 0.42 * len(rows))
         axis = figure.subplots()
         axis.axvline(0.0, color=hex_colour(INK_RGB), linewidth=1.2)
         for line, (name, row) in enumerate(rows.items()):
-            colour = hex_colour(BASELINE_RGB.get(name.rpartition(" ")[2], INK_RGB))
-            axis.plot([row.low, row.high], [line, line], color=colour, linewidth=2.4)
-            axis.plot(row.mean, line, "o", color=colour, markersize=7)
-        axis.set_yticks(range(len(rows)), list(rows))
-        axis.set(ylim=(len(rows) - 0.4, -0.6), title="Differences with 95 % intervals")
+            colour = hex_colour(BASELINE_RGB.get(name, INK_RGB))
+            fewer = -np.array([row.low, row.mean, row.high], np.float64)
+            axis.plot(fewer[::2], [line, line], color=colour, linewidth=2.4)
+            axis.plot(fewer[1], line, "o", color=colour, markersize=7)
+        axis.set_yticks(range(len(rows)), [f"than {name}" for name in rows])
+        axis.set(ylim=(len(rows) - 0.4, -0.6), title=f"{first}: fewer missed of 100")
         axis.locator_params(axis="x", nbins=5)
-        axis.set_xlabel(f"← worse    {first} minus other    better →")
+        axis.set_xlabel("at equal false alarms, 95 % intervals\n← worse        better →")
         axis.grid(visible=False, axis="y")
     return figure
 
 
 def recall_figure(groupings: Mapping[str, Mapping[str, _Groups]], *, title: str) -> Any:  # noqa: ANN401
-    """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``."""
+    """Share detected by rigs at equal false alarms, by groups of objects, a panel for every grouping."""
     shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
     lines = max(len(_groups(tables)) for tables in shown.values())
     with figure_style():
@@ -138,16 +139,16 @@ def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[
     colour = hex_colour(camera_rgb(0))
     low, high = zip(*(_wilson_interval(tables[first][name]) for name in groups), strict=True)
     axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
-    for name in reversed(others):
+    for k, name in reversed([*enumerate(others)]):
         values = [tables[name][group].recall if group in tables[name] else None for group in groups]
-        style = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": "", "clip_on": False}
-        style |= {"markeredgecolor": hex_colour(BASELINE_RGB.get(name, INK_RGB)), "markeredgewidth": 1.6}
+        style = {"marker": "Ds^v"[k % 4], "markersize": 6.5, "linestyle": "", "clip_on": False}
+        style |= {"markeredgecolor": hex_colour(BASELINE_RGB.get(name, camera_rgb(k + 2))), "markeredgewidth": 1.6}
         axis.plot(np.array(values, float), range(len(groups)), markerfacecolor="none", label=name, **style)
     values = np.array([tables[first][group].recall for group in groups], np.float64)
     axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
     handles, names = axis.get_legend_handles_labels()
     axis.set_yticks(range(len(groups)), [f"{group}  ({tables[first][group].objects})" for group in groups])
-    axis.set(ylim=(len(groups) - 0.4, -0.6), xlim=(0.0, 1.02), title=title, xlabel="recall (number of objects)")
+    axis.set(ylim=(len(groups) - 0.4, -0.6), xlim=(0.0, 1.02), title=title, xlabel="share detected (objects)")
     return handles, names
 
 
@@ -181,7 +182,7 @@ def front_figure(points: Sequence[Mapping[str, Any]], *, by: str, title: str | N
 
 def _draw_misses(axis: Any, points: Sequence[Mapping[str, Any]], x: Sequence[float]) -> None:  # noqa: ANN401 (matplotlib)
     series = (
-        ("unseen scenes, detector", "misses_per_100", 1.0, INK_RGB, "o-"),
+        ("unseen scenes, equal false alarms", "misses_per_100", 1.0, INK_RGB, "o-"),
         ("unseen scenes, expected", "expected_misses_per_100", 1.0, camera_rgb(0), "s-"),
         ("scenes of the search, objective", "objective", 100.0, camera_rgb(1), "^--"),
         ("bound: no rig of the pool is below", "bound", 100.0, MUTED_RGB, "_:"),
@@ -213,7 +214,7 @@ def _draw_modules(axis: Any, points: Sequence[Mapping[str, Any]], x: Sequence[fl
 
 
 _LEAST_SHOWN = 0.1  # misses per 100 that have the full colour at least: less is no sensitivity
-_BELOW_RGB = ((38, 102, 180), (190, 218, 242))
+_BELOW_RGB = ((120, 176, 226), (190, 218, 242))
 
 
 def sensitivity_figure(
@@ -234,9 +235,10 @@ def sensitivity_figure(
             figure.suptitle(heading, fontweight="bold")
         if tolerance is not None:
             _draw_changes(axes[0], tolerance, names)
-            off = f"{tolerance.samples.mean():.2f} (mean of {len(tolerance.samples)} draws)"
-            said = f"{tolerance.nominal:.2f}; with all cameras off by chance {off}"
-            caption(figure, f"Expected misses per 100 objects: {said}.")
+            scenes = f"{tolerance.scenes} scene{'' if tolerance.scenes == 1 else 's'}"
+            chance = f"{tolerance.samples.mean() - tolerance.nominal:+z.2f} (mean of {len(tolerance.samples)} draws)"
+            text = f"Change of the expected misses per 100. Cameras off: in {scenes}; all off by chance: {chance}."
+            caption(figure, text)
         if outages is not None:
             _draw_losses(axes[-1], outages)
         axes[0].set_yticks(range(len(names)), names)
@@ -252,7 +254,7 @@ def _draw_changes(axis: Any, tolerance: MountTolerance, names: list[str]) -> Non
     for effect in tolerance.effects:
         change[names.index(effect.camera), degrees.index(effect.degree)] = effect.worst
     most = max(float(np.abs(change).max()), _LEAST_SHOWN)
-    colours = colour_map("change", *_BELOW_RGB, (255, 255, 255), *FURTHER_RGB[1:3])
+    colours = colour_map("change", *_BELOW_RGB, (255, 255, 255), FURTHER_RGB[1], (236, 140, 70))
     axis.imshow(change, cmap=colours, vmin=-most, vmax=most, aspect="auto")
     for (row, column), value in np.ndenumerate(change):
         axis.text(column, row, f"{value:+z.2f}", ha="center", va="center", fontsize=8.5, color=hex_colour(INK_RGB))
@@ -261,7 +263,7 @@ def _draw_changes(axis: Any, tolerance: MountTolerance, names: list[str]) -> Non
     axis.spines[:].set_visible(False)
     axis.tick_params(length=0)
     off = f"{100.0 * tolerance.position_m:g} cm or {math.degrees(tolerance.angle_rad):g}°"
-    title(axis, f"Camera off by {off}", "misses per 100, change")
+    title(axis, f"Camera off by {off}")
 
 
 def _draw_losses(axis: Any, outages: CameraOutages) -> None:  # noqa: ANN401 (matplotlib)
@@ -277,4 +279,4 @@ def _draw_losses(axis: Any, outages: CameraOutages) -> None:  # noqa: ANN401 (ma
     axis.set_xticks([])
     axis.spines["bottom"].set_visible(False)
     axis.tick_params(left=False)
-    title(axis, "Camera lost", "change, weighted" if is_weighted else "change")
+    title(axis, "Camera lost", "weighted" if is_weighted else "")
