@@ -73,11 +73,13 @@ def working_directory(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def short_polish(monkeypatch):
-    """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
+def shorten_polish(monkeypatch):
+    """Let searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
     for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
         monkeypatch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+
+
+short_polish = pytest.fixture(shorten_polish)
 
 
 @pytest.fixture
