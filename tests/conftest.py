@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
+from threadpoolctl import threadpool_limits
 
 from warpav.core.cores import available_cores
 
@@ -37,12 +38,13 @@ def pytest_cmdline_main(config):
 
 
 def pytest_configure(config):
-    """Each process of pytest-xdist has cores of its own: threads that wait for those of others take a third more."""
+    """Each process of pytest-xdist has cores of its own, and as many threads: those that wait take time of others."""
     worker = getattr(config, "workerinput", None)
     if worker is not None and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]
         if cores:
             os.sched_setaffinity(0, cores)
+            threadpool_limits(len(cores))  # NumPy's were started for all cores
 
 
 def pytest_collection_finish():

@@ -167,15 +167,15 @@ class OwnBody:
             pixels = size[0] * size[1]
             for first in range(0, len(group), _VIEWS_AT_ONCE):
                 row = group[first : first + _VIEWS_AT_ONCE]
-                # the last ones are filled up with the last camera
-                view = row[np.minimum(np.arange(_VIEWS_AT_ONCE), len(row) - 1)]
+                # the last ones are filled up with the last camera, to a power of two
+                view = row[np.minimum(np.arange(1 << (len(row) - 1).bit_length()), len(row) - 1)]
                 areas = self._frame(size, [drawn[k] for k in view], pose[view]).areas()
                 share[row] = areas.visible.numpy()[: len(row), 0] / pixels
                 jacobian[row] = areas.jacobian.numpy()[: len(row), 0] / pixels
         return share, jacobian
 
     def _frame(self, size: tuple[int, int], lenses: list[CameraModel], pose: np.ndarray) -> Frame:
-        [renderer] = self._renderers.of(size, lambda: [Renderer(lenses, device=self.device)])
+        [renderer] = self._renderers.of((*size, len(lenses)), lambda: [Renderer(lenses, device=self.device)])
         renderer.set_lenses(lenses)
         return renderer.render(
             self._scene,
