@@ -75,13 +75,17 @@ def working_directory(tmp_path, monkeypatch):
     return tmp_path
 
 
-def shorten_polish(monkeypatch):
-    """Let searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
-    for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
-        monkeypatch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+SEARCHING = {"cli", "experiments", "optimisation", "runs", "view", "test_api.py"}
 
 
-short_polish = pytest.fixture(shorten_polish)
+@pytest.fixture(scope="module", autouse=True)
+def short_polish(request):
+    """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.relative_to(Path(__file__).parent).parts[0] in SEARCHING:
+            for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
+                patch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+        yield
 
 
 @pytest.fixture

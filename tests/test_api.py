@@ -46,8 +46,6 @@ SMALL = (
     "scenes.test_seeds=[5000, 5001]",
 )
 
-pytestmark = pytest.mark.usefixtures("short_polish")
-
 
 def test_import_takes_a_fraction_of_a_second():
     """CPU time of this import alone, so that other work on the machine does not count."""

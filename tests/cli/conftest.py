@@ -3,7 +3,6 @@
 import pytest
 
 from tests.cli.small_run import RUNS, SMALL
-from tests.conftest import shorten_polish
 from warpav.cli.app import main
 from warpav.runs import RunFolder
 
@@ -18,15 +17,13 @@ def run_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def at_once(tmp_path_factory):
-    """The folders of small runs without pictures, with a `short_polish`, by their names."""
+    """The folders of small runs without pictures by their names."""
     runs = {}
 
     def run(name):
         if name not in runs:
             runs[name] = tmp_path_factory.mktemp(name.replace(" ", "_")) / "run"
-            with pytest.MonkeyPatch.context() as patch:
-                shorten_polish(patch)
-                assert main(["optimise", *RUNS[name][1], f"run.out={runs[name]}"]) == 0
+            assert main(["optimise", *RUNS[name][1], f"run.out={runs[name]}"]) == 0
         return runs[name]
 
     return run

@@ -11,7 +11,7 @@ from warpav.cli.app import main
 from warpav.core.warp_setup import load_warp
 from warpav.runs import RunFolder
 
-pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 
 @pytest.fixture

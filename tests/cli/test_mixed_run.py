@@ -9,7 +9,7 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.runs.front import front
 
-pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 CATALOGUE = """
 modules:

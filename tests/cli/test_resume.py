@@ -21,7 +21,7 @@ from warpav.cli.app import main
 from warpav.core.files import DRAFT
 from warpav.runs import RunFolder
 
-pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 GPU = wp.is_cuda_available()
 SHORT_POLISH = """

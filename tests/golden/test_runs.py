@@ -99,7 +99,6 @@ def test_evaluate_writes_the_same_measures(runs, warpav, golden, tmp_path):
     golden("evaluate_preset", timeless(json.loads(out.read_text())), rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.usefixtures("short_polish")
 def test_the_front_by_number_of_cameras(warpav, golden, tmp_path):
     out = tmp_path / "front"
     status, printed, _ = warpav("front", *SMALL, *METHODS["pool"], "rig.cameras=1..2", "--out", out)
