@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
+from threadpoolctl import threadpool_limits
 
 from warpav.core.cores import available_cores
 
@@ -37,12 +38,13 @@ def pytest_cmdline_main(config):
 
 
 def pytest_configure(config):
-    """Each process of pytest-xdist has cores of its own: threads that wait for those of others take a third more."""
+    """Each process of pytest-xdist has cores of its own, and as many threads: those that wait take time of others."""
     worker = getattr(config, "workerinput", None)
     if worker is not None and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]
         if cores:
             os.sched_setaffinity(0, cores)
+            threadpool_limits(len(cores))  # NumPy's were started for all cores
 
 
 def pytest_collection_finish():
@@ -73,11 +75,17 @@ def working_directory(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def short_polish(monkeypatch):
+SEARCHING = {"cli", "experiments", "optimisation", "runs", "view", "test_api.py"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_polish(request):
     """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
-    for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
-        monkeypatch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.relative_to(Path(__file__).parent).parts[0] in SEARCHING:
+            for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
+                patch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+        yield
 
 
 @pytest.fixture

@@ -67,7 +67,6 @@ def test_every_public_name_is_there_and_nothing_else():
 
 
 @needs_opengl
-@pytest.mark.usefixtures("short_polish")
 def test_the_ten_lines_run_as_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     program = TEN_LINES
@@ -216,7 +215,7 @@ def test_rigs_to_compare_with_need_no_search():
 
 
 def test_a_search_begins_with_the_best_rig_by_hand_and_says_what_it_finds_more():
-    placement = wa.Placement(wa.town([0]), cameras=4, config=wa.Config.load("quick", *SMALL))
+    placement = wa.Placement(wa.town([0]), cameras=4, requirements=None, config=wa.Config.load("quick", *SMALL))
     corners = wa.rig_by_hand("corners", placement, angle_deg=40)
     np.testing.assert_allclose(sorted(np.degrees([camera.yaw_rad for camera in corners.cameras])), [-140, -40, 40, 140])
     result, best = wa.optimise(placement), wa.rig_by_hand("best", placement)

@@ -17,7 +17,7 @@ def run_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def at_once(tmp_path_factory):
-    """The folders of small runs without pictures, by their names."""
+    """The folders of small runs without pictures by their names."""
     runs = {}
 
     def run(name):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.small_run import RESUMED_POOL as POOL
-from tests.cli.test_resume import check_same
+from tests.cli.test_resume import check_same, stopped
 from warpav.cli.app import main
 from warpav.core.warp_setup import load_warp
 from warpav.runs import RunFolder
@@ -50,8 +50,8 @@ def test_processes_give_the_bytes_of_one(expected, monkeypatch):
     assert hashes_of("apart") == {**known, "configuration": hashes_of("apart")["configuration"]}
 
 
-def test_hashes_tell_what_is_another(expected):
-    assert main(["optimise", *POOL, "run.out=another", "scenes.train_seeds=[0, 2]", "rig.height_offset_m=0.3"]) == 0
+def test_hashes_tell_what_is_another(expected, monkeypatch):
+    stopped("pool", "another", monkeypatch, "scenes.train_seeds=[0, 2]", "rig.height_offset_m=0.3", after=0)
     found, known = hashes_of("another"), hashes_of(expected)
     assert set(found) == {"configuration", "scenes", "vehicle", "cameras", "detector", "version"}
     assert {name for name in found if found[name] != known[name]} == {"configuration", "scenes"}

@@ -14,7 +14,7 @@ from warpav.runs import RunFolder
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
 
-pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 POOL = [
     *SMALL[:-1],

@@ -9,7 +9,7 @@ from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
 from warpav.runs import RunFolder
 
-pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 NEAR = """requirements:
   near: {area: {around_m: [0.5, 2.5]}, grid_m: 1.0, object: post, pixels: 10, weight: 5, share: 0.999}

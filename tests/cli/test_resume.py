@@ -24,8 +24,12 @@ from warpav.runs import RunFolder
 pytestmark = pytest.mark.usefixtures("working_directory")
 
 GPU = wp.is_cuda_available()
-COMMAND = "import sys; from warpav.cli.app import main; sys.exit(main())"
-KILLED_AT_A_FILE = """
+SHORT_POLISH = """
+import warpav.optimisation.pool_search as search
+search._FIRST_POLISH = search._FURTHER_POLISH = search._LAST_POLISH = (3, 0.4)
+"""
+COMMAND = f"{SHORT_POLISH}import sys; from warpav.cli.app import main; sys.exit(main())"
+KILLED_AT_A_FILE = f"""{SHORT_POLISH}
 import os, signal, sys
 left, replace = int(sys.argv.pop(1)), os.replace
 

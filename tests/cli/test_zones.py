@@ -15,7 +15,7 @@ from warpav.runs import RunFolder
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.town.town import ego_vehicle
 
-pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
+pytestmark = pytest.mark.usefixtures("working_directory")
 
 
 @pytest.fixture(scope="module")

@@ -25,12 +25,12 @@ COMPILE = """
 import sys, warp
 warp.config.kernel_cache_dir = sys.argv[1]
 from warpav_kernels.detection import network_input
-from warpav_kernels.placement import constraint_losses
+from warpav_kernels.placement import exchange
 from warpav_kernels.reconstruction import plane_fit
 from warpav.core.warp_setup import compiling
-with compiling("cpu", but=["placement.constraint"]):
+with compiling("cpu", but=["reconstruction.plane"]):
     print("meanwhile")
-modules = [warp.get_module(module.__name__) for module in (network_input, plane_fit)]
+modules = [warp.get_module(module.__name__) for module in (network_input, exchange)]
 before = [dict(module.execs) for module in modules]
 warp.force_load("cpu", modules)  # nothing is left to do
 print(all(one and one == module.execs for one, module in zip(before, modules)))
@@ -41,8 +41,8 @@ def test_kernels_are_compiled_when_the_block_ends(tmp_path):
     done = subprocess.run([sys.executable, "-c", COMPILE, tmp_path], check=True, capture_output=True, text=True)
     assert (done.stdout.split(), done.stderr) == (["meanwhile", "True"], "")
     compiled = {file.name.rsplit("_", 1)[0].removeprefix("wp_warpav_kernels.") for file in tmp_path.glob("*/wp_*")}
-    assert {"detection.network_input", "reconstruction.plane_fit"} <= compiled
-    assert "placement.constraint_losses" not in compiled
+    assert {"detection.network_input", "placement.exchange"} <= compiled
+    assert "reconstruction.plane_fit" not in compiled
 
 
 def test_a_cache_in_which_nothing_may_be_written_is_refused(monkeypatch):

@@ -97,11 +97,3 @@ def test_evaluate_writes_the_same_measures(runs, warpav, golden, tmp_path):
     golden("evaluate_run", timeless(json.loads(out.read_text())), rtol=1e-4, atol=1e-5)
     assert warpav("evaluate", "nuscenes", "--json", out, *SMALL[:2], *SMALL[4:6], *METHODS["pool"][:1])[0] == 0
     golden("evaluate_preset", timeless(json.loads(out.read_text())), rtol=1e-4, atol=1e-5)
-
-
-def test_the_front_by_number_of_cameras(warpav, golden, tmp_path):
-    out = tmp_path / "front"
-    status, printed, _ = warpav("front", *SMALL, *METHODS["pool"], "rig.cameras=1..2", "--out", out)
-    assert status == 0
-    assert "2" in printed
-    golden("front", sorted(path.name for path in out.iterdir() if path.suffix in (".json", ".csv", ".yaml")))

@@ -144,7 +144,7 @@ def test_gradients_are_those_of_the_jacobian_and_can_be_asked_for_twice():
         (torch.full((1, 6), float("nan")), InputError, "pose: expected finite numbers"),
         (2.0 * torch.eye(4)[None], InputError, "expected rotations and translations"),
         (
-            torch.eye(4, device="meta")[None],
+            torch.empty(1, 4, 4, device="meta"),
             InputError,
             "pose: expected a tensor on cpu, where the scene is, got one on meta",
         ),

@@ -8,7 +8,6 @@ from warpav.runs.config import Config, load_config
 SMALL = ["camera.width_px=64", "camera.height_px=64", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]
 
 
-@pytest.mark.usefixtures("short_polish")
 @pytest.mark.parametrize(("requirements", "counts"), [(None, False), ("near_field", True)])
 def test_the_near_field_counts_where_it_is_asked_for_alone(requirements, counts):
     placement = wa.Placement(
@@ -17,7 +16,7 @@ def test_the_near_field_counts_where_it_is_asked_for_alone(requirements, counts)
         requirements=requirements,
         config=load_config(Config(), [*SMALL, "run.batch_size=1", "run.iterations=3"], origin=None),
     )
-    found = wa.front(placement, wa.town([5000]))
+    found = wa.front(placement)
     assert ("points of the requirements together" in str(found.table())) is counts
     for point in found.points:
         seen = placement.with_config(load_config(placement.config, [f"rig.cameras={len(point.rig.cameras)}"]))

@@ -92,7 +92,6 @@ def test_the_mounts_own_cameras_have_the_same_value_either_way(placement):
     assert own == pytest.approx(others, rel=1e-5)
 
 
-@pytest.mark.usefixtures("short_polish")
 def test_a_run_compares_its_rig_with_presets_and_rigs_of_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     today = wa.preset("argoverse2")

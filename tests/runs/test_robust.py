@@ -82,7 +82,6 @@ def test_a_front_is_refused(option, value):
         wa.front(placement)
 
 
-@pytest.mark.usefixtures("short_polish")
 def test_a_result_says_what_its_objective_is_made_of(tmp_path):
     config = load_config(Config(), SMALL, origin=None)
     robust = {"camera_loss": "worst", "weight": 0.4}
@@ -107,8 +106,9 @@ def test_a_result_says_what_its_objective_is_made_of(tmp_path):
     assert "This bound is loose." in report
 
 
-@pytest.mark.usefixtures("short_polish")
-@pytest.mark.parametrize("others", [{}, {"camera_loss": "mean", "weight": 0.5}])
+@pytest.mark.parametrize(
+    "others", [{}, pytest.param({"camera_loss": "mean", "weight": 0.5}, marks=pytest.mark.nightly)]
+)
 def test_a_result_says_what_errors_cost(tmp_path, others):
     config = load_config(Config(), SMALL, origin=None)
     robust = {"mount_error_m": 0.05, "mount_error_deg": 3.0, **others}

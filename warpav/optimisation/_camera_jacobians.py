@@ -266,23 +266,20 @@ class _PlacingSlope:
 
 
 def placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
-    """The Jacobian of `CameraMount.place`, by one backward pass for each number of a view."""
-    pose = wp.array(mount_pose, dtype=float, device=mount.device, requires_grad=True)
+    """The Jacobian of `CameraMount.place`, by one backward pass through a copy for each number of a view."""
+    count, numbers = len(mount_pose), 3 + 9 + 1
+    pose = wp.array(np.tile(mount_pose, (numbers, 1)), dtype=float, device=mount.device, requires_grad=True)
     with wp.Tape() as tape:
         views = mount.place(pose, 1)
-    rows = []
-    for array, size in ((views.position_ego_m, 3), (views.camera_from_ego, 9), (views.log_zoom, 1)):
-        for number in range(size):
-            seed = np.zeros((len(mount_pose), size), np.float32)
-            seed[:, number] = 1.0
-            shaped = seed.reshape(array.numpy().shape)
-            tape.zero()
-            tape.backward(grads={array: wp.array(shaped, dtype=array.dtype, device=mount.device)})
-            rows.append(_gradient_of(pose))
-    slope = np.stack(rows, axis=1)
+    parts = np.split(np.repeat(np.eye(numbers, dtype=np.float32), count, axis=0), [3, 12], axis=1)
+    arrays = views.position_ego_m, views.camera_from_ego, views.log_zoom
+    shaped = [part.reshape(array.numpy().shape) for array, part in zip(arrays, parts, strict=True)]
+    seeds = [wp.array(each, dtype=to.dtype, device=mount.device) for to, each in zip(arrays, shaped, strict=True)]
+    tape.backward(grads=dict(zip(arrays, seeds, strict=True)))
+    slope = _gradient_of(pose).reshape(numbers, count, MOUNT_POSE_SIZE).swapaxes(0, 1)
     # with the vector s the rotation R becomes R + [s]x R
     turned = slope[:, 3:12].reshape(-1, 3, 3, MOUNT_POSE_SIZE)
-    skew = np.einsum("vijn,vkj->vikn", turned, views.camera_from_ego.numpy().astype(np.float64))
+    skew = np.einsum("vijn,vkj->vikn", turned, views.camera_from_ego.numpy()[:count].astype(np.float64))
     spin = 0.5 * np.stack(
         [skew[:, 2, 1] - skew[:, 1, 2], skew[:, 0, 2] - skew[:, 2, 0], skew[:, 1, 0] - skew[:, 0, 1]], axis=1
     )

@@ -54,6 +54,10 @@ _STEP = 1e-3
 """Half a difference in every number of a mount pose [m, rad, 1]."""
 
 
+_Expanded = tuple[np.ndarray, np.ndarray, list[CameraModel], np.ndarray]
+"""Of cameras, those of pairs twice: their row, pose in the ego frame, model and the corners of their box [m]."""
+
+
 class _Measured:
     """What some cameras of a mount keep and see, in the order of their mount poses."""
 
@@ -139,8 +143,10 @@ class PoolRules:
             result.ring[row] |= seen[:, : len(self._ring_m)]
             result.near[row] |= seen[:, len(self._ring_m) :].reshape(len(row), *self._near_m.shape[:2])
         if rules.housing is not None and self.cameras.mount.is_symmetric:
-            for row in np.flatnonzero(self.cameras.mount.is_pair(pose) & ~result.breaks.any(axis=1)):
-                result.breaks[row, 3] = self._conflicts(pose[row : row + 1], pose[row : row + 1])[0, 0]
+            pairs = np.flatnonzero(self.cameras.mount.is_pair(pose) & ~result.breaks.any(axis=1))
+            every = self._expanded(pose[pairs])
+            for k, row in enumerate(pairs):
+                result.breaks[row, 3] = bool(self._conflicts(every, every[0] == k, every[0] == k))
         return result
 
     def _sides(self, pose: np.ndarray) -> list[tuple[int, np.ndarray]]:
@@ -181,23 +187,24 @@ class PoolRules:
             known, one, other = b"", one[:0], other[:0]
         first = len(known) // max(pose[:1].nbytes, 1)
         if first < len(pose):
-            seers, seen = self._conflicts(pose[first:], pose).nonzero()
-            others, by = self._conflicts(pose[:first], pose[first:]).nonzero()
-            new = np.concatenate([seers + first, others]), np.concatenate([seen, by + first])
+            every = self._expanded(pose)
+            is_new = every[0] >= first
+            found = self._conflicts(every, is_new, np.ones_like(is_new)) | self._conflicts(every, ~is_new, is_new)
+            new = np.array(sorted(found), int).reshape(-1, 2).T
             pairs = np.unique(np.stack([[*one, *new[0], *new[1]], [*other, *new[1], *new[0]]]), axis=1)
             one, other = pairs[:, pairs[0] != pairs[1]].astype(int)
             self._conflicting = pose.tobytes(), one, other
         return sparse.csr_array((np.ones(len(one), bool), (one, other)), shape=(size, size))
 
-    def _conflicts(self, pose: np.ndarray, others: np.ndarray) -> sparse.csr_array:
-        """Which of some rows conflict with which of others, of one row with itself its two cameras."""
+    def _conflicts(self, every: _Expanded, seers: np.ndarray, seen: np.ndarray) -> set[tuple[int, int]]:
+        """Which rows conflict with which others, of one row with itself its two cameras; both bool [camera]."""
         assert self.rules.housing is not None
-        row, view, model, corner_m = self._expanded(pose)
-        other_row, _, _, other_corner_m = self._expanded(others)
+        row, view, model, corner_m = every
+        other_row, other_corner_m = row[seen], corner_m[seen]
         centre_m = other_corner_m.mean(axis=1)
         radius_m = 0.5 * np.linalg.norm(other_corner_m[:, 7] - other_corner_m[:, 0], axis=1)
         found: set[tuple[int, int]] = set()
-        for k in range(len(row)):
+        for k in np.flatnonzero(seers) if seen.any() else ():
             to_m = centre_m - view[k][:3, 3]
             distance_m = np.linalg.norm(to_m, axis=1)
             near = distance_m <= _reach_m(model[k], radius_m, self.rules.housing)
@@ -212,10 +219,9 @@ class PoolRules:
             if len(meet):
                 pairs = np.repeat(corner_m[k][None], len(meet), axis=0)
                 found |= {(int(row[k]), int(other_row[w])) for w in meet[boxes_meet(pairs, other_corner_m[meet])]}
-        index = np.array(sorted(found), int).reshape(-1, 2)
-        return sparse.csr_array((np.ones(len(index), bool), index.T), shape=(len(pose), len(others)))
+        return found
 
-    def _expanded(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[CameraModel], np.ndarray]:
+    def _expanded(self, pose: np.ndarray) -> _Expanded:
         """All cameras of some rows, those of pairs twice: their row, pose in the ego frame, model and box."""
         rows, views, models, corners = [], [], [], []
         for side, row in self._sides(pose):
@@ -308,34 +314,34 @@ class PoolRules:
         pose = np.ascontiguousarray(mount_pose, np.float32)
         if self.rules.housing is None or len(pose) < 2:
             return np.zeros(0), np.zeros((0, *pose.shape))
-        value = self._clearances(pose)
+        camera, number = np.nonzero(reach > 0.0)
+        moved = np.repeat(pose[None], 1 + 2 * len(camera), axis=0)
+        for sign, first in ((1.0, 1), (-1.0, 2)):
+            moved[np.arange(first, len(moved), 2), camera, number] += np.float32(sign * _STEP)
+        value, *ends = self._clearances(moved)
         slope = np.zeros((len(value), *pose.shape))
-        for camera, number in zip(*np.nonzero(reach > 0.0), strict=True):
-            ends = []
-            for sign in (1.0, -1.0):
-                moved = pose.copy()
-                moved[camera, number] += np.float32(sign * _STEP)
-                ends.append(self._clearances(moved))
-            slope[:, camera, number] = (ends[0] - ends[1]) / (2.0 * _STEP)
+        slope[:, camera, number] = _differences(np.array(ends).reshape(-1, 2, len(value))).T
         is_near = value - np.einsum("rck,ck->r", np.abs(slope), reach) < _CLEAR
         return np.maximum(value[is_near] - _CLEAR, 0.0), slope[is_near]
 
-    def _clearances(self, pose: np.ndarray) -> np.ndarray:
-        """How far every box is outside of every other camera's image, as a share of its width; float64 [pair].
+    def _clearances(self, rigs: np.ndarray) -> np.ndarray:
+        """How far every box is outside of every other camera's image, as a share of its width; float64 [rig, pair].
 
         A box that is in the image already counts by the share that it may still fill, negative where that is too much.
+        ``rigs`` float32 [rig, camera, 7]: the same cameras elsewhere.
         """
         assert self.rules.housing is not None
-        row, view, model, corner_m = self._expanded(pose)
-        found = []
-        for k in range(len(row)):
-            others = np.arange(len(row)) != k
-            share = hidden_share(model[k], np.linalg.inv(view[k]), corner_m[others])
-            border = border_margin(view[k][None], [model[k]], corner_m[others].reshape(-1, 3)).reshape(-1, 8)
-            outside = np.maximum(-border.max(axis=1), 0.0)
-            left = (self.rules.housing - share) / self.rules.housing * _CLEAR
-            found.append(np.where(share > 0.0, left, _CLEAR + outside))
-        return np.concatenate(found)
+        row, view, models, corner_m = self._expanded(rigs.reshape(-1, MOUNT_POSE_SIZE))
+        camera = np.argsort(row // rigs.shape[1], kind="stable").reshape(len(rigs), -1)  # of each rig
+        seer, seen = (camera[:, each].ravel() for each in np.nonzero(~np.eye(camera.shape[1], dtype=bool)))
+        share, margin = np.zeros(len(seer)), np.zeros(len(seer))
+        for model in dict.fromkeys(models):
+            pair = np.flatnonzero(np.array([each == model for each in models])[seer])
+            by, box_m = view[seer[pair]], corner_m[seen[pair]]
+            share[pair] = hidden_share(model, np.linalg.inv(by), box_m)
+            margin[pair] = border_margin(by, [model] * len(pair), box_m).max(axis=1)
+        left = (self.rules.housing - share) / self.rules.housing * _CLEAR
+        return np.where(share > 0.0, left, _CLEAR + np.maximum(-margin, 0.0)).reshape(len(rigs), -1)
 
     @property
     def needed(self) -> np.ndarray:
@@ -364,14 +370,10 @@ class PoolRules:
             return 1.0 + _MARGIN_SCALE * np.c_[np.minimum(horizon, 10.0), np.minimum(crossing, 10.0), border]
 
         value = closed_forms(views, models)
-        slope = np.zeros((*value.shape, MOUNT_POSE_SIZE))
-        for number in range(MOUNT_POSE_SIZE):
-            ends = []
-            for sign in (1.0, -1.0):
-                moved = pose.copy()
-                moved[:, number] += np.float32(sign * _STEP)
-                ends.append(closed_forms(*cameras.in_ego(moved)))
-            slope[..., number] = (ends[0] - ends[1]) / (2.0 * _STEP)
+        step = np.float32(_STEP) * np.eye(MOUNT_POSE_SIZE, dtype=np.float32)
+        moved = pose + np.stack([step, -step], axis=1)[:, :, None]
+        ends = closed_forms(*cameras.in_ego(moved.reshape(-1, MOUNT_POSE_SIZE)))
+        slope = np.moveaxis(_differences(ends.reshape(MOUNT_POSE_SIZE, 2, *value.shape)), 0, -1)
         if len(point_m):
             seen = sight(self._rig_cameras(side, pose, views, models), point_m, self._ground).seen
             value[:, 2:] = np.where(seen, value[:, 2:], np.minimum(value[:, 2:], 0.0))
@@ -396,6 +398,11 @@ class PoolRules:
         value[:, 2 : 2 + count] = np.take_along_axis(ring, best[..., None], axis=2)[..., 0]
         slope[:, 2 : 2 + count] = np.take_along_axis(ring_slope, best[..., None, None], axis=2)[:, :, 0]
         return value, slope
+
+
+def _differences(ends: np.ndarray) -> np.ndarray:
+    """Slopes from values a `_STEP` ahead and behind, [..., 2, ...] on the second axis."""
+    return (ends[:, 0] - ends[:, 1]) / (2.0 * _STEP)
 
 
 def _windows(seen: np.ndarray, width: int) -> np.ndarray:

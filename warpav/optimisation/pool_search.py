@@ -215,7 +215,7 @@ class PoolSearch:
         self._rng, self._places = np.random.default_rng([seed, 1]), list[np.ndarray]()
         self._todo: list[tuple[Any, ...]] = [("begin",)]
         self._states = self._run()
-        self._boundary: dict[str, Any] = {}  # where the present stage began
+        self._boundary = self.position()  # where the present stage began
 
     def __iter__(self) -> PoolSearch:
         return self

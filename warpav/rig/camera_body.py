@@ -114,13 +114,11 @@ def hidden_share(model: CameraModel, camera_from_ego: np.ndarray, corner_m: np.n
 
     Nothing stands before the box; what of it is nearer than ``model.near_m`` is left out.
 
-    ``camera_from_ego`` float [4, 4]; ``corner_m`` float [box, 8, 3], as of `corners_m`.
+    ``camera_from_ego`` float [4, 4], or of each box [box, 4, 4]; ``corner_m`` float [box, 8, 3], as of `corners_m`.
     """
-    step = np.linspace(0.0, 1.0, _EDGE_STEPS)[:, None, None]
-    point_m = corner_m[:, _EDGE[:, 0], None] + (corner_m[:, _EDGE[:, 1]] - corner_m[:, _EDGE[:, 0]])[:, :, None] * (
-        step.reshape(1, 1, -1, 1)
-    )
-    point_m = point_m.reshape(len(corner_m), -1, 3) @ camera_from_ego[:3, :3].T + camera_from_ego[:3, 3]
+    start_m, end_m = (corner_m[:, _EDGE[:, k], None] for k in (0, 1))
+    point_m = (start_m + (end_m - start_m) * np.linspace(0.0, 1.0, _EDGE_STEPS)[:, None]).reshape(len(corner_m), -1, 3)
+    point_m = point_m @ np.swapaxes(camera_from_ego[..., :3, :3], -1, -2) + camera_from_ego[..., None, :3, 3]
     with np.errstate(invalid="ignore", divide="ignore"):
         place_px = model.project(point_m)
     depth_m = np.linalg.norm(point_m, axis=-1) if model.shape.has_unit_rays else point_m[..., 2]

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -416,6 +417,7 @@ def _words(normal: np.ndarray) -> str:
     return f"along {np.round(normal, 3).tolist()}"
 
 
+@lru_cache(maxsize=4)
 def propose_zones(mesh: Mesh, parts: BodyParts | None = None) -> tuple[Zone, ...]:
     """Zones of a vehicle (in the ego frame [m]) for a person to edit: roof, bonnet, sides, front and rear, panes.
 

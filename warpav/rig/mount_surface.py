@@ -372,31 +372,25 @@ def _first_upward_height(
     # A face on edge has no extent from above; a line meets its neighbours.
     seen = np.flatnonzero(np.abs(normal[:, 2]) > 1e-9 * np.maximum(doubled_area, 1e-12))
     corner, normal, doubled_area = corner[seen], normal[seen], doubled_area[seen]
-    plane = corner[:, :, :2].copy()
-    plane = (plane - corner_m) / step_m - 0.5  # in units of samples: line k lies at k
+    plane = (corner[:, :, :2] - corner_m) / step_m - 0.5  # in units of samples: line k lies at k
     low = np.maximum(np.ceil(plane.min(axis=1) - 1e-9), 0).astype(np.int64)
     high = np.minimum(np.floor(plane.max(axis=1) + 1e-9), size - 1).astype(np.int64)
     span = np.maximum(high - low + 1, 0)
 
-    # Every line in every face's bounding rectangle, as one flat list.
-    count = span[:, 0] * span[:, 1]
-    face = np.repeat(np.arange(len(count)), count)
-    within = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
-    column_count = span[face, 1]
-    row = low[face, 0] + within // column_count
-    column = low[face, 1] + within % column_count
+    # Every line in every face's bounding rectangle, as one flat list: its rows, then of each its columns.
+    face, row = _counted(np.where(span[:, 1] > 0, span[:, 0], 0), low[:, 0])
+    of_row, column = _counted(span[face, 1], low[face, 1])
+    face, row = face[of_row], row[of_row]
 
     turn = np.sign(normal[:, 2])
     for i in range(3):
-        start = plane[:, i]
-        edge = (plane[:, (i + 1) % 3] - start) * turn[:, None]
-        at_zero = edge[:, 1] * start[:, 0] - edge[:, 0] * start[:, 1]
-        side = edge[face, 0] * column - edge[face, 1] * row + at_zero[face]
+        (x, y), (along, aside) = plane[:, i].T, np.ascontiguousarray((plane[:, (i + 1) % 3] - plane[:, i]).T * turn)
+        side = along[face] * column - aside[face] * row + (aside * x - along * y)[face]
         is_inside = side >= -1e-9  # a ray through a shared edge hits at least one of its faces
         face, row, column = face[is_inside], row[is_inside], column[is_inside]
     slope = -normal[:, :2] / normal[:, 2:] * step_m  # height change per sample
-    offset = np.stack([row, column], axis=1) - plane[face, 0]
-    height_m = corner[face, 0, 2] + (slope[face] * offset).sum(axis=1)
+    (x, y), (by_row, by_column) = np.ascontiguousarray(plane[:, 0].T), np.ascontiguousarray(slope.T)
+    height_m = corner[:, 0, 2][face] + (by_row[face] * (row - x[face]) + by_column[face] * (column - y[face]))
 
     line = row * size[1] + column
     top_m = np.full(size[0] * size[1], -np.inf)
@@ -406,6 +400,12 @@ def _first_upward_height(
     upward = np.full(len(top_m), -np.inf)
     np.maximum.at(upward, line[is_top], (np.abs(normal[:, 2]) / doubled_area)[face[is_top]])
     return np.where(upward > -np.inf, top_m, -np.inf).reshape(size), upward.reshape(size)
+
+
+def _counted(count: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """So many whole numbers from a first one on, of each: whose they are, and they, int64 [number]."""
+    of = np.repeat(np.arange(len(count)), count)
+    return of, np.arange(len(of)) + np.repeat(first - (np.cumsum(count) - count), count)
 
 
 def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:

@@ -168,13 +168,14 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), config.rig.is_symmetric, *files, *settings)
     if made_of not in _SURFACES:
         surface = _zones_chart(config, ego) if has_zones(config) else roof_surface(config, ego)
-        _SURFACES.clear()
+        for old in list(_SURFACES)[:-1]:
+            del _SURFACES[old]
         _SURFACES[made_of] = surface
     return _SURFACES[made_of]
 
 
 _SURFACES: dict[str, MountSurface] = {}
-"""The last one, by what it follows from: a run looks for mistakes in it before it makes scenes, and takes it then."""
+"""The last two, by what they follow from: a run looks for mistakes in it before it makes scenes, and takes it then."""
 
 
 _ACROSS = np.array([1.0, -1.0, 1.0])

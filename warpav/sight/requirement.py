@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Body:
     outline_m: np.ndarray  # its convex hull, counter-clockwise, float64 [corner, 2]
 
     @classmethod
+    @lru_cache(maxsize=8)
     def of(cls, ego: Mesh) -> Body:
         """The body of a vehicle's mesh; all of it counts, mirrors too."""
         from scipy.spatial import ConvexHull

@@ -120,12 +120,12 @@ def crossing_angle_rad(ego_from_camera: np.ndarray, middle_m: np.ndarray) -> np.
 def border_margin(ego_from_camera: np.ndarray, models: Sequence[CameraModel], point_m: np.ndarray) -> np.ndarray:
     """How far points are inside the images, as a share of the image's width; negative outside, float64 [camera, point].
 
-    -1 where the lens does not see a point. ``point_m`` [point, 3].
+    -1 where the lens does not see a point. ``point_m`` [point, 3], or of each camera [camera, point, 3].
     """
-    margin = np.full((len(models), len(point_m)), -1.0)
+    margin = np.full((len(models), point_m.shape[-2]), -1.0)
     for model, row in _by_model(models):
-        pose = ego_from_camera[row]
-        place_px = _projected(model, (point_m - pose[:, None, :3, 3]) @ pose[:, :3, :3])
+        pose, own_m = ego_from_camera[row], point_m[row if point_m.ndim > 2 else ...]
+        place_px = _projected(model, (own_m - pose[:, None, :3, 3]) @ pose[:, :3, :3])
         edge_px = np.minimum(place_px, np.array([model.width_px, model.height_px]) - place_px).min(axis=-1)
         margin[row] = np.nan_to_num(edge_px / model.width_px, nan=-1.0, posinf=-1.0, neginf=-1.0)
     return margin
@@ -170,15 +170,15 @@ class OwnBody:
             pixels = size[0] * size[1]
             for first in range(0, len(group), _VIEWS_AT_ONCE):
                 row = group[first : first + _VIEWS_AT_ONCE]
-                # the last ones are filled up with the last camera
-                view = row[np.minimum(np.arange(_VIEWS_AT_ONCE), len(row) - 1)]
+                # the last ones are filled up with the last camera, to a power of two
+                view = row[np.minimum(np.arange(1 << (len(row) - 1).bit_length()), len(row) - 1)]
                 areas = self._frame(size, [drawn[k] for k in view], pose[view]).areas()
                 share[row] = areas.visible.numpy()[: len(row), 0] / pixels
                 jacobian[row] = areas.jacobian.numpy()[: len(row), 0] / pixels
         return share, jacobian
 
     def _frame(self, size: tuple[int, int], lenses: list[CameraModel], pose: np.ndarray) -> Frame:
-        [renderer] = self._renderers.of(size, lambda: [Renderer(lenses, device=self.device)])
+        [renderer] = self._renderers.of((*size, len(lenses)), lambda: [Renderer(lenses, device=self.device)])
         renderer.set_lenses(lenses)
         return renderer.render(
             self._scene,
@@ -214,14 +214,7 @@ class RuleCheck:
     ``vehicle`` in the ego frame [m].
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        vehicle: Mesh,
-        rules: Rules | None = None,
-        *,
-        device: str = "cpu",
-    ) -> None:
+    def __init__(self, rig: Rig, vehicle: Mesh, rules: Rules | None = None, *, device: str = "cpu") -> None:
         self.rig, self.vehicle, self.rules = rig, vehicle, rules or Rules()
         self.device = device
         self._pose = np.stack([camera.ego_from_camera for camera in rig.cameras])

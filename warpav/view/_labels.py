@@ -33,9 +33,11 @@ class Labels:
         It costs the weight of all that it lies on, and its own; its box is taken then.
         """
         low, high = tried - 0.5 * size, tried + 0.5 * size
-        is_on = ((low[:, None] < self._taken[:, 2:]) & (high[:, None] > self._taken[:, :2])).all(axis=-1)
+        near = (low.min(axis=0) < self._taken[:, 2:]).all(axis=1) & (high.max(axis=0) > self._taken[:, :2]).all(axis=1)
+        x0, y0, x1, y1 = self._taken[near].T
+        is_on = (low[:, :1] < x1) & (low[:, 1:] < y1) & (high[:, :1] > x0) & (high[:, 1:] > y0)
         is_outside = ((low < self._within[:2]) | (high > self._within[2:])).any(axis=-1)
-        best = int((is_on @ self._weight + _OUTSIDE * is_outside + cost).argmin())
+        best = int((is_on @ self._weight[near] + _OUTSIDE * is_outside + cost).argmin())
         self.take([*low[best], *high[best]], weight)
         return best
 
