@@ -77,7 +77,7 @@ def working_directory(tmp_path, monkeypatch):
 def short_polish(monkeypatch):
     """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
     for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
-        monkeypatch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+        monkeypatch.setattr(f"warpav.optimisation._pool_search.{name}", (3, 0.4))
 
 
 @pytest.fixture

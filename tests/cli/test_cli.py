@@ -14,7 +14,7 @@ from tests.cli.small_run import SMALL, complaint
 from warpav.cli._scenes import SceneLevel
 from warpav.cli.app import main
 from warpav.runs.config import Config, described_options
-from warpav.scene.town.levels import LEVELS
+from warpav.scene import LEVELS
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

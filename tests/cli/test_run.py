@@ -10,10 +10,10 @@ import pytest
 
 from tests.cli.small_run import SMALL
 from warpav.cli.app import main
-from warpav.optimisation.evaluation.metrics import OPTIONAL_METRICS
+from warpav.optimisation import OPTIONAL_METRICS
 from warpav.runs import RunFolder
 from warpav.runs._rig_evaluation import TABLE_ROWS
-from warpav.thesis.descent import Descent
+from warpav.thesis import Descent
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -5,9 +5,9 @@ import functools
 from tests.driving_scene import street
 from warpav.cli.app import main
 from warpav.experiments._arms import Arm
-from warpav.experiments.study import Study, _loss_overrides
+from warpav.experiments._study import Study, _loss_overrides
 from warpav.runs.config import load_config
-from warpav.scene.glb import write_scene
+from warpav.scene import write_scene
 
 OPTIONS = (
     "scenes.source=folder",

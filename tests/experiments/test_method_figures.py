@@ -12,10 +12,9 @@ from tests.optimisation.objectives import evaluate_rig
 from tests.view.stand_ins import rig
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.experiments.method_figures import draw_method_figure
-from warpav.rig.rig import Rig
-from warpav.runs import RunDisplay, RunFolder, find_rig, load_scenes
-from warpav.runs.placement import Placement
+from warpav.experiments import draw_method_figure
+from warpav.rig import Rig
+from warpav.runs import Placement, RunDisplay, RunFolder, find_rig, load_scenes
 from warpav.view._palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
 from warpav.view.figures import _rigs as rigs
 from warpav.view.figures._rigs import covered_rad
@@ -69,7 +68,7 @@ def count(image, rgb, tolerance=12.0):
 
 def lines(axis, colour_index):
     """x and y of the lines in a camera's colour, those of more than one point."""
-    from warpav.view import hex_colour
+    from warpav.view._palette import hex_colour
 
     colour = hex_colour(camera_rgb(colour_index))
     return [line.get_xydata() for line in axis.lines if line.get_color() == colour and len(line.get_xydata()) > 1]

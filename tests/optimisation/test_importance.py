@@ -13,18 +13,25 @@ from tests.optimisation.test_missed import MODEL, POSE, probabilities, probabili
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.core.errors import InputError
-from warpav.optimisation.budget import rig_values_of
-from warpav.optimisation.importance import Importance, check_categories
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.settings import ImportanceSettings
+from warpav.optimisation import (
+    X_M,
+    YAW_RAD,
+    AssignedScene,
+    CameraMount,
+    CameraProbability,
+    ExpectedMissRate,
+    Importance,
+    ImportanceSettings,
+    ObjectiveOptions,
+    PoolSearchSettings,
+    RigObjective,
+    check_categories,
+    rig_values_of,
+)
+from warpav.optimisation._pool import spread_mount_poses
 from warpav.raster.decide import Occlusion
 from warpav.runs.config import Config, dump_config, load_config, option_values
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis import BoundsAndSpacing
 
 SETTINGS = ImportanceSettings(
     category={"hatchback": 0.5},

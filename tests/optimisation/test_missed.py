@@ -7,18 +7,19 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, on_device, packed_street, roof
 from tests.optimisation.objectives import rig_objective
-from warpav.detection.probability import (
-    CONTRAST,
-    FEATURE_COUNT,
-    IN_FRAME_SHARE,
-    VISIBLE_SHARE,
-    Appearance,
-    DetectionProbability,
+from warpav.detection import CONTRAST, Appearance, DetectionProbability
+from warpav.detection._probability import FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE
+from warpav.optimisation import (
+    HEIGHT_DELTA_M,
+    LOG_ZOOM,
+    PITCH_RAD,
+    YAW_RAD,
+    AssignedScene,
+    CameraMount,
+    FreeRanges,
+    LossSchedule,
+    LossSettings,
 )
-from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer

@@ -6,13 +6,18 @@ import pytest
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.test_missed import POSE, probability_model
 from warpav.core.errors import InputError
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import YAW_RAD, CameraMount
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
+from warpav.optimisation import (
+    YAW_RAD,
+    AssignedScene,
+    CameraMount,
+    CameraProbability,
+    ExpectedMissRate,
+    ObjectiveOptions,
+    RigObjective,
+)
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis import BoundsAndSpacing
 
 MODEL = CameraModel(128, 128)
 

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from warpav.cli.app import main
-from warpav.runs import detector_check
-from warpav.runs._networks import detector_use, load_detector
+from warpav.runs import _detector_check as detector_check
+from warpav.runs import load_detector
+from warpav.runs._networks import detector_use
 from warpav.runs.config import load_config
 
 pytest.importorskip("onnx")

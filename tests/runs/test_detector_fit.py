@@ -11,15 +11,15 @@ import pytest
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.detection import probability
-from warpav.detection.probability import FEATURE_COUNT, DetectionProbability, stored_file
-from warpav.detection.probability_fit import DetectionSamples, score
+from warpav.detection import DetectionProbability, DetectionSamples, score, stored_file
+from warpav.detection import _probability as probability
+from warpav.detection._probability import FEATURE_COUNT
 from warpav.raster.camera import CameraModel
+from warpav.runs import _detector_fit as detector_fit
 from warpav.runs import _detector_samples as detector_samples
-from warpav.runs import detector_fit
+from warpav.runs._detector_fit import chosen_seeds
 from warpav.runs._networks import any_camera_config, any_camera_use, detector_use
 from warpav.runs.config import load_config
-from warpav.runs.detector_fit import chosen_seeds
 from warpav.scene.traffic.moments import search_and_test
 
 
@@ -81,8 +81,8 @@ def test_bad_words_are_refused(capsys, words, message):
 @pytest.fixture
 def small_fit(monkeypatch):
     monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)
-    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OBJECTS", 30)
-    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OF_EACH", 2)
+    monkeypatch.setattr("warpav.detection._probability_fit._MIN_OBJECTS", 30)
+    monkeypatch.setattr("warpav.detection._probability_fit._MIN_OF_EACH", 2)
     # small images, so that some objects are missed
     return ["--scenes", "1..3", "--held-out", "[4, 5, 6]", "camera.width_px=96", "camera.height_px=96"]
 
@@ -140,7 +140,7 @@ def sampled(monkeypatch):
         return DetectionSamples(feature, is_detected, np.full(40, seed))
 
     monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
-    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OBJECTS", 30)
+    monkeypatch.setattr("warpav.detection._probability_fit._MIN_OBJECTS", 30)
     return seeds
 
 

@@ -6,9 +6,9 @@ import pytest
 
 from warpav.cli.app import main
 from warpav.core.progress import NullProgress
-from warpav.detection.probability_fit import score
+from warpav.detection import score
+from warpav.runs import _detector_fit as detector_fit
 from warpav.runs import _detector_samples as detector_samples
-from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 
 SMALL = ("camera.width_px=192", "camera.height_px=192")

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from warpav.cli.app import main
-from warpav.detection.training import data
+from warpav.detection.training import _data as data
 
 SIDES_PX = {64: 2, 96: 1}
 
@@ -22,7 +22,7 @@ def working_directory(working_directory):
 @pytest.fixture(autouse=True)
 def few_images(monkeypatch):
     few = {f"test_{level}": data.Subset(level, 3_000_000, 1, SIDES_PX) for level in ("easy", "urban")}
-    monkeypatch.setattr("warpav.runs.detector_training.TEST_SUBSETS", few)
+    monkeypatch.setattr("warpav.runs._detector_training.TEST_SUBSETS", few)
     monkeypatch.setattr(data, "TEST_SUBSETS", few)
 
 

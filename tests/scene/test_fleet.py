@@ -9,16 +9,14 @@ from scipy.stats import binom
 from tests.scene.traffic.recordings import street, write
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.scene.cache import built_scenes, scene_file
-from warpav.scene.fleet import CATEGORIES, _bodies, fleet_of
-from warpav.scene.own_vehicle import write_vehicle
-from warpav.scene.stored_scene import SceneRecipe
+from warpav.scene import SHIPPED, SceneRecipe, TownSource, fleet_of, level_scene, vehicle_mesh, write_vehicle
+from warpav.scene._cache import built_scenes, scene_file
+from warpav.scene._fleet import CATEGORIES, _bodies
 from warpav.scene.town._paint import _PAINT_COLOURS
-from warpav.scene.town.levels import TownSource, level_scene
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, vehicle_mesh
+from warpav.scene.town._vehicle_shapes import VARIANT_COUNT, body_size_m
 from warpav.scene.traffic.moments import Moment
 from warpav.scene.traffic.traffic_scene import TrafficSource
-from warpav.scene.vehicles import SHIPPED, vehicle_folder
+from warpav.scene.vehicles import vehicle_folder
 
 PLACES = (("easy", 0), ("easy", 1), ("urban", 1), ("dense", 0), ("motorway", 1))
 

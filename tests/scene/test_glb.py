@@ -10,9 +10,7 @@ import trimesh
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.own_vehicle import read_vehicle_file
-from warpav.scene.scene import Box, Scene, Sky, Vehicle
+from warpav.scene import Box, Scene, Sky, Vehicle, read_scene, read_vehicle_file, write_scene
 
 
 def _tetrahedron(offset_m, colour):

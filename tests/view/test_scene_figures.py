@@ -10,12 +10,18 @@ import pytest
 from tests.scene.capture.town_capture import town_capture
 from tests.view.stand_ins import near, needs_opengl, pixels, scene, vehicle
 from warpav.cli.app import main
-from warpav.experiments import scene_figures
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, PlanSettings
-from warpav.scene.glb import write_scene
-from warpav.scene.reconstruction.point_cloud import fuse
-from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
-from warpav.scene.scene import Box
+from warpav.experiments import _scene_figures as scene_figures
+from warpav.scene import (
+    EGO_INSTANCE,
+    ENVIRONMENT_INSTANCE,
+    Box,
+    CloudSettings,
+    PlanSettings,
+    ReconstructionSettings,
+    fuse,
+    write_scene,
+)
+from warpav.scene.reconstruction._settings import MeshSettings
 from warpav.view._palette import camera_rgb
 from warpav.view.figures import _clouds as clouds
 from warpav.view.figures import _images as images

@@ -128,10 +128,20 @@ def _imports(source: str) -> Iterator[str]:
     for line in _IMPORT.finditer(source):
         module, names = line["module"], re.sub(r"#.*|[()]|\bas \w+", "", line["names"] or line["modules"])
         for name in (each.strip() for each in names.replace("\n", ",").split(",")):
-            # what is imported is a module of a package, or something out of a module
-            for found in (module, f"{module}.{name}") if module else (name,):
+            # what is imported is a module of a package, something out of a module, or out of one behind a face
+            for found in (module, f"{module}.{name}", _face(module).get(name, module)) if module else (name,):
                 if name and found.split(".")[0] in _PACKAGES and _source_file(found) is not None:
                     yield found
+
+
+@cache
+def _face(package: str) -> dict[str, str]:
+    """The modules that the names of a package's face come from."""
+    stub = _source_file(package) if package.split(".", maxsplit=1)[0] in _PACKAGES else None
+    if stub is None or not (stub := stub.with_suffix(".pyi")).is_file():
+        return {}
+    lines = re.findall(r"^from (\S+) import (?:\w+ as )?(\w+)$", stub.read_text(encoding="utf-8"), re.MULTILINE)
+    return {name: module for module, name in lines}
 
 
 @cache

@@ -35,7 +35,7 @@ class Progress(Protocol):
         """An optimisation begins.
 
         Args:
-            records: `warpav.optimisation.records.IterationRecord`, one after each iteration.
+            records: `warpav.optimisation._records.IterationRecord`, one after each iteration.
             count: Iterations planned; None: nobody knows how many there will be.
             min_spacing_m: Least distance allowed between two cameras [m], to be shown beside the actual one.
         """

@@ -13,13 +13,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from warpav.optimisation.importance import Importance
-from warpav.optimisation.losses.loss import DeviceLoss, HostLoss, LossSchedule
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
-from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.optimisation._importance import Importance
+from warpav.optimisation._mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.optimisation.losses._loss import DeviceLoss, HostLoss, LossSchedule
+from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.raster.chunks import Recording
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene import DeviceScene
 from warpav_kernels.placement import exchange
 
 

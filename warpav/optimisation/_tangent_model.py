@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warpav.detection.miss_rate import SUREST
+from warpav.detection import SUREST
 
 Margins = tuple[np.ndarray, np.ndarray]
 """Margins of cameras at points [camera, point], and their Jacobian to the mount poses [camera, point, 7]."""

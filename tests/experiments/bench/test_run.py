@@ -12,9 +12,9 @@ from tests.architecture.test_startup import HEAVY, modules_after
 from tests.experiments.bench.small_workload import SIZE, VEHICLES, small_truth, small_workload
 from warpav.cli.app import main
 from warpav.experiments.bench._items import Bench
+from warpav.experiments.bench._run import array_file
 from warpav.experiments.bench._scores import ImageScores, gradient_scores
 from warpav.experiments.bench._workload import WEIGHT_NAMES, Truth
-from warpav.experiments.bench.run import array_file
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -13,14 +13,8 @@ from tests.rig.formats.known_pose import NUSCENES, URDF, write_sample
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import (
-    FORMAT_NAMES,
-    ImportOptions,
-    export_rig_with_notes,
-    find_format,
-    import_rig_with_notes,
-)
-from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, import_rig_with_notes, read_rig, write_rig
+from warpav.rig.formats._convert import FORMAT_NAMES, find_format
 
 SIZED = ImportOptions(width_px=640, height_px=480)
 

@@ -12,15 +12,8 @@ from scipy.spatial.transform import Rotation
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation, rotation_from_quaternion
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import (
-    FORMAT_NAMES,
-    ImportOptions,
-    export_rig_with_notes,
-    find_format,
-    formats_for,
-    import_rig_with_notes,
-)
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, formats_for, import_rig_with_notes
+from warpav.rig.formats._convert import FORMAT_NAMES, find_format
 
 HAS_ARROW = importlib.util.find_spec("pyarrow") is not None
 BOTH_WAYS = [

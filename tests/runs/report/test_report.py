@@ -24,9 +24,9 @@ from tests.runs.report.run_parts import (
 )
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig.rig import Rig, write_rig
-from warpav.runs import RunFolder
-from warpav.runs._rig_evaluation import TABLE_ROWS, RigEvaluation
+from warpav.rig import Rig, write_rig
+from warpav.runs import RigEvaluation, RunFolder
+from warpav.runs._rig_evaluation import TABLE_ROWS
 from warpav.runs._terminal import Terminal
 from warpav.runs.config import load_config
 from warpav.runs.report._content import RunContent, read_content

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from warpav.experiments.bench._workload import ROTATION_COUNT, Truth, Workload
-from warpav.scene.scene import triangle_caster
+from warpav.scene import triangle_caster
 
 
 def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:

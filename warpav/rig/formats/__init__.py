@@ -1,1 +1,1 @@
-"""Rigs in the files of other tools: `convert` knows all formats, imports and exports."""
+"""Rigs in the files of other tools: `_convert` knows all formats, imports and exports."""

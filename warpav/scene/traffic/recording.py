@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.scene.scene import outline_gap_m
+from warpav.scene._scene import outline_gap_m
 from warpav.scene.town._town_layout import Footprint
 
 CLASSES = ("car", "truck", "bus", "motorcycle", "bicycle", "pedestrian")

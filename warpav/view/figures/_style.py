@@ -19,7 +19,7 @@ from warpav.view._output import write_bytes
 from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
-    from warpav.rig.rig import RigCamera
+    from warpav.rig import RigCamera
 
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
