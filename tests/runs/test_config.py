@@ -225,7 +225,10 @@ FILE_MISTAKES = [
     ("camera: {fov_deg: .nan}\n", "mine.yaml:1: camera.fov_deg: expected an angle in degrees"),
     ("device: cuda\n", "mine.yaml:1: device: expected cpu or a GPU such as cuda:0, got 'cuda'; write cuda:0 for"),
     ("method: thesi\n", "mine.yaml:1: method: expected thesis or default, got 'thesi'"),
-    ("scenes: {source: film}\n", "mine.yaml:1: scenes.source: expected town, traffic, captured or folder, got 'film'"),
+    (
+        "scenes: {source: film}\n",
+        "mine.yaml:1: scenes.source: expected town, traffic, places, captured or folder, got",
+    ),
     ("scenes: {test_seeds: 9..3}\n", "mine.yaml:1: scenes.test_seeds: expected a range whose end is not below its"),
     ("scenes: {test_seeds: [50, 50]}\n", "mine.yaml:1: scenes.test_seeds: expected every seed once, got 50 twice"),
     (

@@ -204,12 +204,14 @@ def feather_library() -> tuple[Any, Any]:
         raise InputError(f"expected the package pyarrow, got: {error}; {install_text('av2')}") from None
 
 
-def read_feather(file: Path, kind: str) -> Any:  # noqa: ANN401
-    """The table of a feather file, a ``pyarrow.Table`` whose texts and offsets are checked."""
-    arrow, feather = feather_library()
+def read_arrow(file: Path, kind: str) -> Any:  # noqa: ANN401
+    """The table of a feather or Parquet file, a ``pyarrow.Table`` whose texts and offsets are checked."""
+    arrow, reader = feather_library()
+    if file.suffix == ".parquet":
+        reader = importlib.import_module("pyarrow.parquet")
     content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
     try:
-        table = feather.read_table(arrow.BufferReader(content))
+        table = reader.read_table(arrow.BufferReader(content))
         table.validate(full=True)
     except (OSError, arrow.ArrowException, MemoryError, ValueError) as error:
         raise InputError(f"{file}: expected {kind}, got: {_one_line(error)[:120]}") from None

@@ -118,7 +118,8 @@ def _options(config: Config) -> dict[str, Any]:
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
     if (recordings := recordings_digest(config)) is not None:
-        values.pop("scenes.test_recordings", None)
+        for name in ("test_recordings", "places", "selection_places", "test_places"):
+            values.pop(f"scenes.{name}", None)
         values["scenes.recordings"] = recordings
     if (vehicles := traffic_fleet_digest(config)) is not None:
         values["scenes.vehicles"] = vehicles

@@ -34,6 +34,9 @@ _FILES = (
     "scenes.vehicles",
     "scenes.recordings",
     "scenes.test_recordings",
+    "scenes.places",
+    "scenes.selection_places",
+    "scenes.test_places",
     "detector.model",
 )
 """Options that name files, which may lie elsewhere now: what they hold counts, see `identity_of`."""

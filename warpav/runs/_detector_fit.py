@@ -53,8 +53,10 @@ from warpav.runs._networks import (
     opened_detector,
 )
 from warpav.runs._progress import shown_progress
+from warpav.runs._scene_set import places_of
 from warpav.runs._terminal import drawn
 from warpav.runs.config import Config
+from warpav.scene import recordings_of
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 
@@ -176,23 +178,33 @@ def fit_config(config: Config, progress: Progress) -> Config:
             f"detection probability is that of the embedded scenes: to fit it on others takes {_MIN_FIT_SCENES}, "
             f"scenes.train_seeds has {count}"
         )
-        return _town_config(config)
+        return _config_of(config, "town")
     scenes = config.scenes
-    if scenes.source != "traffic" or (scenes.recordings, scenes.test_recordings) == (None, None):
+    if scenes.source not in ("traffic", "places") or (
+        scenes.source == "traffic" and (scenes.recordings, scenes.test_recordings) == (None, None)
+    ):
         return config
-    shipped = config.replace({"scenes.recordings": None, "scenes.test_recordings": None})
-    own_uses = [any_camera_use(any_camera_config(config))]
-    own_uses += [detector_use(config, camera=each) for each in camera_models(config)]
-    (seen, _), (_, tested) = search_and_test(None, None), search_and_test(scenes.recordings, scenes.test_recordings)
+    shipped = _config_of(config, "traffic")
+    seen = set(map(content_digest, search_and_test(None, None)[0]))
+    if scenes.source == "places":
+        own_uses = []
+        tested = [file for place in places_of(config)[2] for file in recordings_of(place)]
+    else:
+        own_uses = [any_camera_use(any_camera_config(config))]
+        own_uses += [detector_use(config, camera=each) for each in camera_models(config)]
+        _, tested = search_and_test(scenes.recordings, scenes.test_recordings)
     if (
         any(map(stored_file, own_uses))
         or stored_file(any_camera_use(any_camera_config(shipped))) is None
-        or set(map(content_digest, seen)) & set(map(content_digest, tested))
+        or seen.intersection(map(content_digest, tested))
     ):
-        return config
+        if scenes.source == "traffic":
+            return config
+        progress.say("detection probability is that of the embedded scenes: the test has recordings of the other fit")
+        return _config_of(config, "town")
     progress.say(
         "detection probability is that of the recordings that ship with warpav; to fit it on those of "
-        "scenes.recordings run warpav detector fit --any-camera"
+        f"scenes.{'places' if scenes.source == 'places' else 'recordings'} run warpav detector fit --any-camera"
     )
     return shipped
 
@@ -202,13 +214,13 @@ def _unseen(config: Config) -> tuple[int, ...]:
 
     Of recordings a number means other moments in the test than in the search, and a fit sees those of the search.
     """
-    return () if config.scenes.source == "traffic" else config.scenes.test_seeds
+    return () if config.scenes.source in ("traffic", "places") else config.scenes.test_seeds
 
 
-def _town_config(config: Config) -> Config:
-    """The configuration with embedded scenes for its own."""
-    town = {"source": "town", "folder": None, "recordings": None, "test_recordings": None}
-    return config.replace({f"scenes.{name}": value for name, value in town.items()})
+def _config_of(config: Config, source: str) -> Config:
+    """The configuration with embedded scenes, or those of the recordings that ship, for its own."""
+    names = ("folder", "recordings", "test_recordings", "places", "selection_places", "test_places")
+    return config.replace({"scenes.source": source, **{f"scenes.{name}": None for name in names}})
 
 
 def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProbability:
@@ -439,7 +451,7 @@ def score_detectors(
     found = []
     for name, each in configs.items():
         progress.say(f"{name}: {len(seeds)} scenes")
-        found.append(_scores_of(name, each, _town_config(each) if fitted_on == "town" else each, seeds, progress))
+        found.append(_scores_of(name, each, _config_of(each, "town") if fitted_on == "town" else each, seeds, progress))
     title = "Detection probability against what detectors find"
     table = Table.of(
         _HEADS,

@@ -139,6 +139,7 @@ def model_path(config: Config) -> Path:
 
 def _scene_settings(config: Config) -> dict[str, Any]:
     unseen = {"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego", "recordings", "test_recordings"}
+    unseen |= {"places", "selection_places", "test_places"}
     # curves of embedded scenes are fitted on those of the level easy, and all on vehicles of our own
     unseen |= {"level", "vehicles", "vehicles_share"}
     recordings = recordings_digest(config)

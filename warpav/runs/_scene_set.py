@@ -45,8 +45,11 @@ from warpav.scene import (
     level_of_seed,
     level_scene,
     make_scenes,
+    parts_of,
+    recordings_of,
     scene_path,
     scenes_of,
+    sources_of,
     stored_scenes,
 )
 from warpav.scene.traffic.files import content_digest
@@ -203,8 +206,8 @@ def scene_recipes(
     sources: Sequence[BuiltSource | Path]
     if config.scenes.source == "captured":
         sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))
-    elif config.scenes.source == "traffic":
-        sources = _moments(config, seeds, ego)
+    elif config.scenes.source in ("traffic", "places"):
+        sources = _traffic(config, seeds, ego, progress)
     elif config.scenes.source == "town":
         fleet = _traffic_fleet(config)
         sources = [TownSource(seed, level_of_seed(config.scenes.level, seed), fleet) for seed in seeds]
@@ -307,7 +310,7 @@ def own_vehicle(config: Config) -> Mesh | None:
 def known_vehicle(config: Config) -> Mesh | None:
     """The vehicle that carries the cameras, where it is known before scenes are made."""
     ego = own_vehicle(config)
-    if ego is None and config.scenes.source in ("town", "traffic"):
+    if ego is None and config.scenes.source in ("town", "traffic", "places"):
         return ego_vehicle()
     return next(load_scenes(config, config.scenes.train_seeds[:1])).ego if config.scenes.source == "folder" else ego
 
@@ -387,6 +390,9 @@ def own_vehicle_digest(config: Config) -> str | None:
 def recordings_digest(config: Config) -> str | None:
     """Hash of the recorded traffic, those for the search and those for the test; None where there is none."""
     scenes = config.scenes
+    if scenes.source == "places":
+        named = [[(place, recordings_of(place)) for place in part] for part in places_of(config)]
+        return digest(*(tuple(tuple(map(content_digest, files)) or place for place, files in part) for part in named))
     if scenes.source != "traffic":
         return None
     parts = search_and_test(scenes.recordings, scenes.test_recordings)
@@ -436,17 +442,39 @@ def reconstruction_settings(config: Config) -> ReconstructionSettings:
     )
 
 
-def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[TrafficSource]:
-    """Moments of recordings: seeds of the test take them from other recordings than those of the search."""
-    scenes = config.scenes
+def _traffic(config: Config, seeds: Sequence[int], ego: Mesh | None, progress: Progress) -> list[BuiltSource]:
+    """Moments of recordings, and towns among places: seeds of the test take others than those of the search."""
+    scenes, fleet = config.scenes, _traffic_fleet(config)
     bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
-    traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
-    tested = set(scenes.test_seeds)
-    fleet = _traffic_fleet(config)
-    return [
-        TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed, fleet)
-        for seed in seeds
-    ]
+    tested, chosen = set(scenes.test_seeds), set(scenes.validation_seeds or ()) - set(scenes.train_seeds)
+    lines: list[str] = []
+    found: list[BuiltSource]
+    if scenes.source == "places":
+        parts = places_of(config)
+        part_of = [parts[2 if seed in tested else 1 if seed in chosen else 0] for seed in seeds]
+        of_part = {
+            part: dict(zip(seeds, sources_of(part, seeds, bounds_m, fleet, say=lines.append), strict=True))
+            for part in set(part_of)
+        }
+        found = [of_part[part][seed] for part, seed in zip(part_of, seeds, strict=True)]
+    else:
+        traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m, say=lines.append)
+        moments = [moment_of(traffic.test if seed in tested else traffic.search, seed) for seed in seeds]
+        found = [TrafficSource(moment, seed, fleet) for moment, seed in zip(moments, seeds, strict=True)]
+    if lines and (scenes.recordings or scenes.places):
+        more = f", and {len(lines) - 1} recordings more; warpav scenes traffic names them" * (len(lines) > 1)
+        progress.say(f"{lines[0]}{more}")
+    return found
+
+
+def places_of(config: Config) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Places of search, selection and test, where scenes come from places."""
+    scenes = config.scenes
+    assert scenes.places is not None
+    try:
+        return parts_of(scenes.places, scenes.selection_places, scenes.test_places)
+    except InputError as error:
+        raise OptionError("scenes.places", str(error)) from None
 
 
 def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:

@@ -60,7 +60,7 @@ def build_traffic_scenes(
 ) -> int:
     """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status."""
     files = recordings_in(recordings) if recordings else shipped_recordings()
-    moments = moments_of(files, ego_vehicle().bounds_m())
+    moments = moments_of(files, ego_vehicle().bounds_m(), say=print)
     tasks = [
         SceneTask(seed, scene_path(out, seed), source=TrafficSource(moment_of(moments, seed), seed, fleet))
         for seed in seeds

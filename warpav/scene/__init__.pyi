@@ -34,6 +34,10 @@ from warpav.scene._own_vehicle import examine as examine
 from warpav.scene._own_vehicle import read_vehicle as read_vehicle
 from warpav.scene._own_vehicle import read_vehicle_file as read_vehicle_file
 from warpav.scene._own_vehicle import write_vehicle as write_vehicle
+from warpav.scene._places import KNOWN_PLACES as KNOWN_PLACES
+from warpav.scene._places import parts_of as parts_of
+from warpav.scene._places import recordings_of as recordings_of
+from warpav.scene._places import sources_of as sources_of
 from warpav.scene._scene import BLACK_SKY as BLACK_SKY
 from warpav.scene._scene import ROAD_USERS as ROAD_USERS
 from warpav.scene._scene import Box as Box

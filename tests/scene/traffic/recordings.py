@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording
+from warpav.scene.traffic import recording
 
 LANE_M = 3.5
 STEP_S = 0.5
@@ -74,7 +74,7 @@ def write(folder, data, name="street.json"):
 def recording_of(data):
     """The recording of JSON data, without a file."""
     users = tuple(
-        RecordedUser(
+        recording.RecordedUser(
             user["id"],
             user["type"],
             (user["length_m"], user["width_m"], user.get("height_m", math.nan)),
@@ -84,5 +84,5 @@ def recording_of(data):
         )
         for user in data["road_users"]
     )
-    lanelets = tuple(Lanelet(np.array(each["left"]), np.array(each["right"])) for each in data["lanelets"])
-    return Recording(data["id"], data["source"], data["dt_s"], lanelets, users, data.get("ego"))
+    lanelets = tuple(recording.Lanelet(np.array(each["left"]), np.array(each["right"])) for each in data["lanelets"])
+    return recording.recording_of(data["id"], data["source"], data["dt_s"], lanelets, users, data.get("ego"))

@@ -14,7 +14,7 @@ from warpav.scene.traffic.moments import (
     moments_of,
     traffic_of,
 )
-from warpav.scene.traffic.recording import deepest_overlap
+from warpav.scene.traffic.recording import without_overlaps
 
 CAR_M = np.array([[-1.0, -1.1, 0.0], [3.7, 1.1, 1.5]])
 BUS_M = np.array([[-2.0, -1.3, 0.0], [7.0, 1.3, 3.1]])
@@ -35,8 +35,8 @@ def test_moments_of_shipped_recordings_keep_what_they_promise():
     moments = moments_of(files, CAR_M)
     place = {}
     for moment in sorted(moments, key=lambda each: (each.file, each.ego_id, each.step)):
-        states = {state.user.user_id: state for state in read_recording(moment.file).states_at(moment.step)}
-        assert deepest_overlap(list(states.values()))[0] <= OVERLAP_MAX_M
+        states, _ = without_overlaps(read_recording(moment.file).states_at(moment.step), OVERLAP_MAX_M)
+        states = {state.user.user_id: state for state in states}
         own = states[moment.ego_id]
         assert LENGTH_RATIO[0] <= 4.7 / own.user.size_m[0] <= LENGTH_RATIO[1]
         key = (moment.file, moment.ego_id)
@@ -55,23 +55,38 @@ def test_search_and_test_share_no_recording():
     assert max(moment.file.name for moment in traffic.search) < min(moment.file.name for moment in traffic.test)
 
 
-def two_cars(gap_m):
+def overlapping(at_m):
+    """A car, another in it, two cyclists, and a lorry somewhere; only cars are as large as the ego vehicle."""
     return street(
         users=[
-            track("a", "car", (4.5, 1.8), (0.0, -1.75), 0.0, 5.0),
-            track("b", "car", (4.5, 1.8), (4.5 + gap_m, -1.75), 0.0, 5.0),
-            track("c", "car", (4.5, 1.8), (30.0, 1.75), np.pi, 5.0),
+            track("a", "car", (4.5, 1.8), (at_m, -1.75), 0.0, 5.0),
+            track("b", "car", (4.2, 1.8), (at_m + 3.7, -1.75), 0.0, 5.0),
+            track("c", "bicycle", (1.8, 0.6), (10.0, -3.2), 0.0, 5.0),
+            track("d", "bicycle", (1.8, 0.6), (13.0, -3.2), 0.0, 5.0),
+            track("e", "truck", (9.0, 2.5), (20.0, -1.75), 0.0, 5.0),
         ]
     )
+
+
+def test_an_overlap_costs_the_moment_at_the_ego_vehicle_alone(tmp_path):
+    data = overlapping(-20.0)
+    data["road_users"].append(track("f", "car", (4.5, 1.8), (40.0, 1.75), np.pi, 5.0))
+    said = []
+    moments = moments_of([write(tmp_path, data)], CAR_M, say=said.append)
+    assert {moment.ego_id for moment in moments} == {"f"}
+    assert said == [
+        f"{tmp_path / 'street.json'}: 1 of 6 road users left out where they overlap others by more than 0.3 m, and 5 "
+        "moments with such an overlap at the ego vehicle"
+    ]
 
 
 @pytest.mark.parametrize(
     ("data", "bounds_m", "message"),
     [
         (
-            two_cars(-0.8),
+            overlapping(0.0),
             CAR_M,
-            r"expected boxes that overlap by at most 0.3 m, got road users a and b, which overlap by 0.80 m at step",
+            r"expected moments without boxes that overlap within 10 m of the ego vehicle, got none; 1 of 5 road users",
         ),
         (street(users=street()["road_users"][:1]), CAR_M, r"got none: they are empty"),
         (

@@ -7,7 +7,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from warpav.scene.town._houses import KERB_HEIGHT_M, SceneryBuilder
 from warpav.scene.town._surface_builder import StreetGround
-from warpav.scene.traffic._road import road_of
+from warpav.scene.traffic._road import Roadside, road_of
 from warpav.scene.traffic.recording import Lanelet
 
 HALF_M, END_M = 4.0, 40.0
@@ -17,10 +17,10 @@ def lane(x, low, high, *kinds):
     return Lanelet(np.array([[each, high] for each in x], float), np.array([[each, low] for each in x], float), kinds)
 
 
-def straight_road(*more, heavy=(), light=(), end_m=END_M):
+def straight_road(*more, heavy=(), light=(), driven=(), walked=(), end_m=END_M):
     lanes = [lane((-end_m, end_m), -HALF_M, 0.0), lane((end_m, -end_m), HALF_M, 0.0), *more]
     place = np.array([[2.5, 1.0], [-2.5, 1.0], [-2.5, -1.0], [2.5, -1.0]])
-    return road_of(lanes, [place, *heavy], list(light), 3.0)
+    return road_of(lanes, [place, *heavy], list(light), driven, walked, 3.0)
 
 
 def built(road, seed=0):
@@ -44,10 +44,10 @@ def test_distances_are_those_from_the_straight_road():
     y = np.linspace(-12.0, 12.0, 49)
     for x in (-20.0, 0.0, 20.0):
         point = np.c_[np.full_like(y, x), y]
-        # cells of .1 m, and smoothing of .25 m where the distance bends; worst seen .11
-        assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M)).max() < 0.16
+        # cells of .15 m, and smoothing of .25 m where the distance bends; worst seen .18
+        assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M)).max() < 0.22
         near = np.abs(np.abs(y) - HALF_M) < 1.5
-        assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M))[near].max() < 0.08  # worst seen .05
+        assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M))[near].max() < 0.2  # worst seen .18
     assert road.height_m(np.array([[0.0, 3.8], [0.0, 4.2], [500.0, 0.0]])).tolist() == [
         0.0,
         KERB_HEIGHT_M,
@@ -80,3 +80,26 @@ def test_whoever_stands_outside_the_lanes_stands_on_road_and_riders_not_across_a
     assert (straight_road(light=[away]).distance_m(away) > 0.0).all()
     across = away - [0.0, 10.0]  # 3 to 5 m from the middle
     assert (straight_road(light=[across]).distance_m(across * 0.5 + across.mean(axis=0) * 0.5) < 0.0).all()
+
+
+def test_there_is_road_where_somebody_drives_and_nothing_stands_where_somebody_walks():
+    yard = np.array([[0.0, 0.0], [0.0, 15.0], [8.0, 20.0]])
+    path = np.array([[-30.0, 7.0], [-20.0, 9.0], [30.0, 9.0]])
+    road = straight_road(driven=[(yard, 2.6)], walked=[(path, 1.0)])
+    assert (road.distance_m(yard) < 0.0).all()
+    assert road.distance_m(np.array([3.0, 12.0])) > 1.0
+    assert road.is_walked(path)
+    assert not road.is_walked(path + np.array([0.0, 1.0]))
+    roadside = Roadside(road, [], np.random.default_rng(0))
+    _, builder = built(road)
+    roadside.build(builder)
+    corner = np.concatenate([builder.finish().vertex_m, *(mesh.vertex_m for mesh in roadside.furniture)])
+    low = corner[(corner[:, 2] > 0.3) & (corner[:, 2] < 3.0), :2]
+    assert len(low) > 1000
+    along = np.concatenate(
+        [
+            path[0] + (path[1] - path[0]) * np.linspace(0, 1, 50)[:, None],
+            np.c_[np.arange(-20, 30, 0.2), np.full(250, 9.0)],
+        ]
+    )
+    assert np.linalg.norm(low[:, None] - along, axis=2).min() > 0.3

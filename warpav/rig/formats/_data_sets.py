@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.bounded_files import DATA_SET_NODES_MAX, feather_library, read_feather, read_text, refuse_levels
+from warpav.core.bounded_files import DATA_SET_NODES_MAX, feather_library, read_arrow, read_text, refuse_levels
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
 from warpav.rig.formats._format import (
@@ -231,7 +231,7 @@ def _read_argoverse2(path: Path) -> Found:
 
 
 def _feather_rows(file: Path) -> list[Record]:
-    return Record(file, read_feather(file, "Argoverse 2's feather file").to_pylist()).items()
+    return Record(file, read_arrow(file, "Argoverse 2's feather file").to_pylist()).items()
 
 
 def _write_argoverse2(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:

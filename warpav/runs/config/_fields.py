@@ -197,6 +197,25 @@ def _paths(expected: str, word: str | None = None) -> tuple[object, ...]:
 
 
 Recordings = Annotated[tuple[Path, ...], *_paths("paths of recorded traffic, such as [log.xml, recordings]")]
+
+
+def _read_places(value: object) -> object:
+    from warpav.scene import KNOWN_PLACES, recordings_of
+
+    given = list(value) if isinstance(value, (list, tuple)) else [value]
+    places = [place for place in given if isinstance(place, str)]
+    if not places or len(places) < len(given):
+        mistake(f"expected a list of places, such as [sind, town:dense], got {shown(value)}")
+    for place in places:
+        try:
+            recordings_of(place)
+        except InputError as error:
+            mistake(str(error))
+    _check_once(places, "place")
+    return tuple(place if place in KNOWN_PLACES else str(_read_path(place)) for place in places)
+
+
+Places = Annotated[tuple[str, ...], *_option("a list of places, such as [sind, town:dense]", _read_places)]
 RigFiles = Annotated[tuple[Path, ...], *_paths("rig files or run folders, such as [present.yaml, first_rig]")]
 Vehicles = Annotated[
     tuple[Literal["shipped"] | Path, ...],

@@ -50,6 +50,7 @@ from warpav.runs.config._fields import (
     MeshFile,
     ModuleCounts,
     PitchRange,
+    Places,
     PresetNames,
     Recordings,
     Requirements,
@@ -153,7 +154,10 @@ _SOURCES_OF = {
     "level": ("town",),
     "recordings": ("traffic",),
     "test_recordings": ("traffic",),
-    "vehicles": ("town", "traffic"),
+    "places": ("places",),
+    "selection_places": ("places",),
+    "test_places": ("places",),
+    "vehicles": ("town", "traffic", "places"),
 }
 """Options of scenes that some of their sources take alone."""
 
@@ -161,10 +165,11 @@ _SOURCES_OF = {
 class SceneConfig(Section):
     """Which traffic scenes are trained and tested on."""
 
-    source: Literal["town", "traffic", "captured", "folder"] = Field(
+    source: Literal["town", "traffic", "places", "captured", "folder"] = Field(
         default="town",
-        description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; captured takes "
-        "images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
+        description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; places mixes "
+        "both by scenes.places; captured takes images of embedded ones and makes meshes of these; folder reads "
+        "scene_<seed>.glb files",
     )
     level: Levels | None = Field(
         default=None,
@@ -205,6 +210,15 @@ class SceneConfig(Section):
         default=None,
         description="the same for the test scenes alone; null: the last third of scenes.recordings, by name",
     )
+    places: Places | None = Field(
+        default=None,
+        description="places that source: places takes scenes of in turn: levels of the town such as town:dense, sind, "
+        "and paths of recorded traffic; without scenes.test_places the last third is for the test",
+    )
+    selection_places: Places | None = Field(
+        default=None, description="the same for the scenes of scenes.validation_seeds; null: those of the search"
+    )
+    test_places: Places | None = Field(default=None, description="the same for the test scenes alone")
     vehicles: Vehicles | None = Field(
         default=None,
         description="vehicles of other makers in the places of some in the traffic of town and recordings: shipped, "
@@ -241,12 +255,22 @@ class SceneConfig(Section):
         if self.vehicles_share is not None and self.vehicles is None:
             text = f"expected null without scenes.vehicles, got {self.vehicles_share:g}"
             mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")
+        if self.source == "places":
+            self._check_places()
         if self.source == "folder" and self.folder is None:
             mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
         if self.source == "folder" and self.folder and not self.folder.is_dir():
             text = f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one"
             mistake(text, "folder")
         return self
+
+    def _check_places(self) -> None:
+        if self.places is None:
+            mistake("expected places because scenes.source is places, such as [sind, town:dense], got none", "places")
+        elif self.test_places is None and len(self.places) < 2:
+            mistake("expected at least two places, so that one is kept for the test, got one", "places", "test_places")
+        elif self.selection_places is not None and self.validation_seeds is None:
+            mistake("expected null without scenes.validation_seeds", "selection_places", "validation_seeds")
 
 
 class _FreeConfig(Section):

@@ -254,13 +254,11 @@ class SceneryBuilder:
         """One wall with a darker base, a cornice, windows and doors; light fades towards the ground."""
         rng = self._rng
 
+        parts: list[tuple[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray]] = []
+
         def rectangles(u: np.ndarray, z: np.ndarray, proud: float, low: np.ndarray, high: np.ndarray) -> None:
             """Rectangles [n, 2] along the wall and upwards, with colours at their lower and upper edges."""
-            outward = np.array([direction[1], -direction[0]]) * proud
-            position = left + outward + u[:, [0, 1, 1, 0], None] * direction
-            corner = np.concatenate([position, z[:, [0, 0, 1, 1], None]], axis=-1)
-            colour = np.stack([low, low, high, high], axis=-2)
-            self.add_quads(corner, np.broadcast_to(colour, corner.shape))
+            parts.append((u, z, proud, low, high))
 
         def strip(low: float, high: float, proud: float, below: np.ndarray, above: np.ndarray) -> None:
             rectangles(np.array([[0.0, width]]), np.array([[low, high]]), proud, below, above)
@@ -301,6 +299,17 @@ class SceneryBuilder:
         centre = u.mean(axis=1, keepdims=True) + np.array([-0.035, 0.035])
         if has_frames:
             rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
+        counts = [len(part[0]) for part in parts]
+        u, z = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        proud = np.repeat([part[2] for part in parts], counts)[:, None, None]
+        shades = [np.empty((len(u), 3)) for _ in range(2)]
+        ends = np.cumsum(counts)
+        for part, end, count in zip(parts, ends, counts, strict=True):
+            for shade, colour in zip(shades, part[3:], strict=True):
+                shade[end - count : end] = colour
+        position = left + np.array([direction[1], -direction[0]]) * proud + u[:, [0, 1, 1, 0], None] * direction
+        corner = np.concatenate([position, z[:, [0, 0, 1, 1], None]], axis=-1)
+        self.add_quads(corner, np.stack(shades, axis=1)[:, [0, 0, 1, 1]])
 
     def finish(self) -> Mesh:
         """All quads as one mesh; degenerate triangles are left out."""

@@ -248,7 +248,8 @@ class _Plan:
 
 
 _USERS_REACH_M = 80.0  # road users are no farther from the ego vehicle
-_FURNITURE_REACH_M, _FRAMES_WITHIN_M = 90.0, 45.0
+_FURNITURE_REACH_M = 90.0
+FRAMES_WITHIN_M = 45.0  # of the ego vehicle, windows have frames
 _CLEARANCE_M, _AHEAD_M = 0.30, 1.2
 _STEP_OUT_GAP_M = 0.75  # between parked cars, for somebody to step out
 _CHILD_M = (1.0, 1.2)
@@ -295,7 +296,7 @@ def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Gene
     is_level = rng.random() >= _GRADE_SHARE
     ground = StreetGround() if is_level else StreetGround(0.0, ahead, behind, reach_m=130.0, only_bends=True)
     furnishing = furnish(plan, rng, ground, reach_m=_FURNITURE_REACH_M)
-    scenery = SceneryBuilder(rng, ground, detailed_within_m=_FRAMES_WITHIN_M)
+    scenery = SceneryBuilder(rng, ground, detailed_within_m=FRAMES_WITHIN_M)
     scenery.add_plan(plan, furnishing.markings)
     world = LevelWorld(scenery, ground, plan.ego, furnishing.meshes, furnishing.footprints, users_rng)
     life = _Life(plan, traffic, world, rng)

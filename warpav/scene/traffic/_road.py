@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,14 +26,14 @@ from warpav.scene.town._houses import (
     PAVEMENT_FADE,
     SceneryBuilder,
 )
-from warpav.scene.town._town_layout import Footprint
+from warpav.scene.town._town_layout import Footprint, Occupied
 from warpav.scene.traffic._road_users import body_mesh, drawn_kind
 from warpav.scene.traffic.recording import Lanelet
 
 if TYPE_CHECKING:
     from contourpy import ContourGenerator
 
-CELL_M = 0.1
+CELL_M = 0.15
 _ROAD_REACH_M = 85.0  # roads end at this distance from the ego vehicle in x and y, in front of a house
 _LAND_M = 26.0  # around the roads
 _CLOSED_GAP_M = 1.5  # between lanes
@@ -66,6 +65,7 @@ class Road:
     lanelets: tuple[Lanelet, ...]  # lanes and crossings
     coverage: np.ndarray  # how many lanes cover a point, uint8 [row, column]
     owner: np.ndarray  # index of the last of them, int16 [row, column]; -1 without
+    walked: np.ndarray  # where somebody goes or rides beside the road, bool [row, column]
 
     @property
     def high_m(self) -> np.ndarray:
@@ -80,6 +80,11 @@ class Road:
     def height_m(self, point_m: np.ndarray) -> np.ndarray:
         """Height of the ground [m]; [..., 2] gives [...]."""
         return np.where(self.distance_m(point_m) > 0.0, KERB_HEIGHT_M, 0.0)
+
+    def is_walked(self, point_m: np.ndarray) -> bool:
+        """Whether somebody goes at any of some points [..., 2]."""
+        row, column, is_inside = self._cells(point_m)
+        return bool((self.walked[row, column] & is_inside).any())
 
     def contour_m(self, level_m: float) -> list[np.ndarray]:
         """Closed lines at a distance from the road, which lies to their right [m]; each [point, 2], first = last."""
@@ -270,9 +275,23 @@ class Road:
 
 
 def road_of(
-    lanelets: Sequence[Lanelet], heavy_m: Sequence[np.ndarray], light_m: Sequence[np.ndarray], pavement_m: float
+    lanelets: Sequence[Lanelet],
+    heavy_m: Sequence[np.ndarray],
+    light_m: Sequence[np.ndarray],
+    driven: Sequence[tuple[np.ndarray, float]],
+    walked: Sequence[tuple[np.ndarray, float]],
+    pavement_m: float,
 ) -> Road:
-    """The road of lanes, in the ego frame; ``heavy_m`` [point, 2]."""
+    """The road of lanes, in the ego frame.
+
+    Args:
+        lanelets: Lanes and crossings.
+        heavy_m: Outlines of vehicles [point, 2], below which there is road.
+        light_m: Outlines of two-wheelers, below which there is road if it begins there.
+        driven: Ways of vehicles, which are road: lines [point, 2] and how wide they are [m].
+        walked: Ways of others, on which nothing stands.
+        pavement_m: Width of the pavements.
+    """
     import cv2
 
     lanes = [
@@ -308,6 +327,10 @@ def road_of(
     y, x = (low + CELL_M * np.arange(count) for low, count in zip(low_m[::-1], shape, strict=True))
     mask[np.abs(y) > _ROAD_REACH_M] = 0
     mask[:, np.abs(x) > _ROAD_REACH_M] = 0
+    gone = np.zeros(shape, np.uint8)
+    for drawn, ways in ((mask, driven), (gone, walked)):
+        for line, width_m in ways:
+            cv2.polylines(drawn, [pixels(line)], False, 1, max(1, round(width_m / CELL_M)), shift=_SUBPIXEL_BITS)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round(_CLOSED_GAP_M / CELL_M) | 1,) * 2)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc), np.uint8)
     for outline in heavy_m:
@@ -325,7 +348,7 @@ def road_of(
     away, within = (np.maximum(cv2.distanceTransform(part, cv2.DIST_L2, 5) - 0.5, 0.0) for part in (1 - mask, mask))
     field = CELL_M * (away - within)
     field = cv2.GaussianBlur(field, (0, 0), _SMOOTHING_M / CELL_M)
-    return Road(low_m, field, pavement_m, tuple(lanelets), coverage, owner)
+    return Road(low_m, field, pavement_m, tuple(lanelets), coverage, owner, gone > 0)
 
 
 def pavement_width_m(rng: np.random.Generator) -> float:
@@ -347,11 +370,11 @@ def _at_shares(line_m: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 def subdivided(line_m: np.ndarray, step_m: float) -> np.ndarray:
     """The line with no segment longer than a step."""
-    parts = []
-    for start, end in pairwise(line_m):
-        count = max(1, int(np.ceil(np.linalg.norm(end - start) / step_m)))
-        parts.append(start + np.arange(count)[:, None] / count * (end - start))
-    return np.concatenate([*parts, line_m[-1:]])
+    way = np.diff(line_m, axis=0)
+    count = np.maximum(np.ceil(np.hypot(*way.T) / step_m).astype(int), 1)
+    segment = np.repeat(np.arange(len(way)), count)
+    number = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    return np.concatenate([line_m[segment] + (number / count[segment])[:, None] * way[segment], line_m[-1:]])
 
 
 def _leftward(line_m: np.ndarray) -> np.ndarray:
@@ -403,7 +426,8 @@ class Roadside:
         """Nothing yet."""
         self._road = road
         self._rng = rng
-        self._taken = list(taken)
+        self._taken = Occupied(taken)  # what furniture keeps clear of
+        self._plots = Occupied()  # houses and yards
         self.parked: list[Body] = []
         self.furniture: list[Mesh] = []
 
@@ -437,7 +461,7 @@ class Roadside:
                 )
                 if not self._is_free(plot, distance_m - _INTO_PAVEMENT_M):
                     continue
-                self._taken.append(plot)
+                self._plots.add(plot)
                 if is_yard:
                     corner = np.c_[plot.corners_m(), np.full(4, KERB_HEIGHT_M + MARKING_HEIGHT_M)]
                     builder.add_quads(corner[None], builder.asphalt_rgb)
@@ -480,24 +504,22 @@ class Roadside:
             footprint = Footprint(float(x), float(y), yaw, *extent)
             mesh = furniture_mesh(kind, rng)
             if self._is_free(footprint, 0.2):
-                self._taken.append(footprint)
+                self._taken.add(footprint)
                 self.furniture.append(mesh.transformed(yaw_rotation(yaw), np.array([x, y, KERB_HEIGHT_M])))
 
     def _is_free(self, footprint: Footprint, distance_m: float) -> bool:
         """Whether a rectangle lies on the land, at a distance from the road, and clear of all that stands."""
-        share = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 2)
         c, s = math.cos(footprint.yaw_rad), math.sin(footprint.yaw_rad)
-        point = share * [footprint.length_m, footprint.width_m] @ np.array([[c, s], [-s, c]])
+        point = _SAMPLE * [footprint.length_m, footprint.width_m] @ np.array([[c, s], [-s, c]])
         point = point + np.array([footprint.x_m, footprint.y_m])
         if not ((point >= self._road.low_m) & (point <= self._road.high_m)).all():
             return False
-        if self._road.distance_m(point).min() < distance_m:
+        if self._road.distance_m(point).min() < distance_m or self._road.is_walked(point):
             return False
-        return not any(footprint.nearer(other, 0.0 if _is_plot(other) else _CLEAR_M) for other in self._taken)
+        return self._plots.is_free(footprint, 0.0) and self._taken.is_free(footprint, _CLEAR_M)
 
 
-def _is_plot(footprint: Footprint) -> bool:
-    return min(footprint.length_m, footprint.width_m) > 4.0
+_SAMPLE = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 2)
 
 
 def _length_m(line_m: np.ndarray) -> float:

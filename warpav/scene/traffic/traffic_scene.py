@@ -19,19 +19,20 @@ from warpav.scene._scene import Scene, Vehicle, yaw_rotation
 from warpav.scene.town._houses import KERB_HEIGHT_M, MIRRORS_M, SceneryBuilder
 from warpav.scene.town._levels import FLEET_CODE
 from warpav.scene.town._street_life import upright_box
+from warpav.scene.town._streets import FRAMES_WITHIN_M
 from warpav.scene.town._surface_builder import StreetGround
 from warpav.scene.town._town import drawn_sky, ego_vehicle
 from warpav.scene.town._town_layout import Footprint
 from warpav.scene.traffic._road import Body, Road, Roadside, pavement_width_m, road_of, subdivided
 from warpav.scene.traffic._road_users import body_mesh, drawn_kind
 from warpav.scene.traffic.files import content_digest, read_recording
-from warpav.scene.traffic.moments import REACH_M, Moment
-from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording
+from warpav.scene.traffic.moments import OVERLAP_MAX_M, REACH_M, Moment
+from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording, without_overlaps
 
 if TYPE_CHECKING:
     from warpav.scene._fleet import Fleet
 
-_ROOM_M = 0.45  # of road around whoever stands on it outside the lanes
+_ROOM_M = 0.45  # of road around whoever stands on it outside the lanes, and free of houses around who walks
 _LANE_STEP_M = 2.0
 _SHADOW_LAYERS = 16  # shadows that lie over each other get heights of their own
 _STREAM = 0x7AF1D
@@ -72,7 +73,7 @@ def traffic_scene(
     """The scene of a moment, in the ego frame, and how many road users are left out."""
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
-    states = recording.states_at(moment.step)
+    states, overlapping = without_overlaps(recording.states_at(moment.step), OVERLAP_MAX_M)
     own = next((state for state in states if state.user.user_id == moment.ego_id), None)
     if own is None:
         raise ValueError(f"no road user {moment.ego_id!r} at step {moment.step}")
@@ -93,7 +94,7 @@ def traffic_scene(
     ego_place = Footprint(x, y, 0.0, length, width)
 
     road = _road(recording, recorded, ego_place, frame, pavement_width_m(rng))
-    builder = SceneryBuilder(rng, StreetGround())
+    builder = SceneryBuilder(rng, StreetGround(), detailed_within_m=FRAMES_WITHIN_M)
     roadside = Roadside(road, [ego_place, *(each.footprint for each in recorded)], rng)
     ground = road.ground(builder, rng)
     road.add_markings(builder)
@@ -117,6 +118,10 @@ def traffic_scene(
     environment = merge([ground, builder.finish(), *roadside.furniture])
     name = f"traffic_{seed:04d}"
     source = f"{recording.recording_id} step {moment.step} ego {moment.ego_id} seed {seed}"
+    if overlapping:
+        source += f"; left out for overlaps: {', '.join(state.user.user_id for state in overlapping)}"
+    if recording.account:
+        source += f"; {recording.account}"
     scene = Scene(name, environment, ego, tuple(users), drawn_sky(rng), source)
     around = scene.targeting(("vehicle",)).around(ego)
     return around, len(users) - len(around.road_users)
@@ -155,10 +160,18 @@ def _road(
             lanelets.append(Lanelet(left, right, lanelet.kinds))
     heavy = [place, *(body.footprint for body in recorded if body.kind not in _ON_FOOT)]
     light = [body.footprint for body in recorded if body.kind in _RIDDEN]  # people on foot step over kerbs
+    driven, walked = [], []
+    for user, line in recording.tracks:
+        way = frame.point_in_ego(line)
+        if (np.abs(way).min(axis=0) <= REACH_M).all():
+            ways = driven if user.category in ("car", "truck", "bus") else walked
+            ways.append((way[(np.abs(way) <= REACH_M).all(axis=1)], user.size_m[1] + 2.0 * _ROOM_M))
     return road_of(
         lanelets,
         [_grown(each, _ROOM_M).corners_m() for each in heavy],
         [_grown(each, _ROOM_M).corners_m() for each in light],
+        [way for way in driven if len(way[0]) > 1],
+        [way for way in walked if len(way[0]) > 1],
         pavement_m,
     )
 
