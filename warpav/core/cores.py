@@ -27,7 +27,6 @@ _share = Share()
 
 
 def own_share() -> Share:
-    """What this process may use."""
     return _share
 
 

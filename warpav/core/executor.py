@@ -47,8 +47,6 @@ _EXTRA = {"ray": "ray", "submitit": "slurm"}
 
 @dataclass(frozen=True)
 class Outcome(Generic[_Task, _Result]):
-    """What became of a task."""
-
     task: _Task  # the task
     result: _Result | None = None  # its result; None if it failed
     error: str | None = None  # why it failed; None if it did not
@@ -95,7 +93,6 @@ def _one_line(error: Exception) -> str:
 
 
 def _package(name: str) -> Any:  # noqa: ANN401 (a module that the type checker may not find)
-    """The package ``ray`` or ``submitit``."""
     try:
         return importlib.import_module(name)
     except ImportError as error:

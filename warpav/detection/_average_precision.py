@@ -59,7 +59,6 @@ class _Scores:
     object_count: np.ndarray  # objects that could be found, int64 [size range, image]
 
     def average_precision(self) -> np.ndarray:
-        """Average precision of all images together."""
         order = np.argsort(-self.confidence, kind="stable")
         object_count = self.object_count.sum(axis=1)
         result = np.full(self.counts.shape[:2], np.nan)

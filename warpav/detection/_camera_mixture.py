@@ -44,13 +44,9 @@ _TRIES = 8
 class ScalingDetector(Protocol):
     """A detector that tells how it scales images, so that one fit can serve all cameras."""
 
-    def input_size_px(self, height_px: int, width_px: int) -> tuple[int, int]:
-        """Rows and columns of the network's input for an image of this size."""
-        ...
+    def input_size_px(self, height_px: int, width_px: int) -> tuple[int, int]: ...
 
-    def network_scale(self, height_px: int, width_px: int) -> tuple[float, float]:
-        """Pixels of the network's input for one of an image of this size, along x and y."""
-        ...
+    def network_scale(self, height_px: int, width_px: int) -> tuple[float, float]: ...
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,13 @@ def mixed_camera(
     shows an object, if the camera sees any.
     """
     for tries_left in range(_TRIES, -1, -1):
-        model = _any_model(rng, window, near_m)
+        is_fisheye = rng.random() < _FISHEYE_SHARE
+        fov_rad = math.radians(rng.uniform(*(_FISHEYE_FOV_DEG if is_fisheye else _PINHOLE_FOV_DEG)))
+        width_px, height_px = window.width_px, window.height_px
+        if window.is_cut:
+            width_px = round(math.exp(rng.uniform(math.log(width_px), math.log(_WIDEST_IMAGE_PX))))
+            height_px = max(height_px, round(width_px / rng.choice(_ASPECTS)))
+        model = CameraModel(width_px, height_px, fov_rad, near_m, Lens.FISHEYE if is_fisheye else Lens.PINHOLE)
         camera = _any_place(rng, surface, ego_bounds_m, model, name)
         if not window.is_cut:
             return camera
@@ -103,16 +105,6 @@ def mixed_camera(
         aim_px = inside[rng.integers(len(inside))] if len(inside) else 0.5 * size_px
         return _cut(rng, camera, window, aim_px)
     raise AssertionError
-
-
-def _any_model(rng: np.random.Generator, window: Window, near_m: float) -> CameraModel:
-    is_fisheye = rng.random() < _FISHEYE_SHARE
-    fov_rad = math.radians(rng.uniform(*(_FISHEYE_FOV_DEG if is_fisheye else _PINHOLE_FOV_DEG)))
-    width_px, height_px = window.width_px, window.height_px
-    if window.is_cut:
-        width_px = round(math.exp(rng.uniform(math.log(width_px), math.log(_WIDEST_IMAGE_PX))))
-        height_px = max(height_px, round(width_px / rng.choice(_ASPECTS)))
-    return CameraModel(width_px, height_px, fov_rad, near_m, Lens.FISHEYE if is_fisheye else Lens.PINHOLE)
 
 
 def _any_place(

@@ -222,7 +222,6 @@ def _moved(planes: Tensor, right_px: int, down_px: int) -> Tensor:
 
 
 def _torch_device(device: str) -> str:
-    """PyTorch's name of a Warp device."""
     if device != "cpu" and not torch.cuda.is_available():
         raise OptionError(
             "losses.detector_gradient",

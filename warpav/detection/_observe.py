@@ -233,8 +233,6 @@ def _off_the_body(found: Detections, is_body: np.ndarray) -> Detections:
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """A rendered image for the detector."""
-
     scene: Hashable  # the scene; compared by identity
     camera: int  # index of the camera
     pose: bytes  # everything else that the content depends on, as bytes; equal bytes mean an equal image
@@ -253,7 +251,6 @@ class DetectorInLoop:
         self._known: WeakKeyDictionary[Any, dict[int, tuple[bytes, Detections]]] = WeakKeyDictionary()
 
     def ask(self, images: Sequence[RenderedImage]) -> Callable[[], list[Detections]]:
-        """Start detecting."""
         new = [image for image in images if self._answer(image) is None]
         answers = None
         if new:

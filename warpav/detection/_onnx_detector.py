@@ -239,7 +239,6 @@ class OnnxDetector:
         return self.family.each_image(self._checked(binding.copy_outputs_to_cpu()), len(array))
 
     def _run(self, network_input: np.ndarray) -> list[tuple[np.ndarray, ...]]:
-        """The network's outputs for every image of its input."""
         fixed = self.family.batch
         batch = fixed or min(_BATCH_MAX, len(network_input))
         outputs = []

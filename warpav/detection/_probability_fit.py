@@ -150,8 +150,6 @@ class ProbabilityScores:
 
 @dataclass(frozen=True)
 class CalibrationBin:
-    """Objects of about one probability."""
-
     count: int  # how many
     predicted: float  # their mean probability
     detected: float  # the share that was detected
@@ -160,7 +158,6 @@ class CalibrationBin:
 
 
 def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> ProbabilityScores:
-    """Compare probabilities with outcomes."""
     from scipy.stats import binomtest, rankdata
 
     probability, is_detected = np.asarray(probability, np.float64), np.asarray(is_detected, bool)

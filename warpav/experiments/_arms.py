@@ -110,7 +110,6 @@ class Arm:
 
     @property
     def is_seeded(self) -> bool:
-        """Whether another run seed may give another rig."""
         return not self.is_preset and (self.method not in METHODS or METHODS[self.method].is_seeded)
 
     @property
@@ -132,7 +131,6 @@ class Arm:
         return load_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
-        """Reject early what would fail in every run."""
         config, method = self.search_config(config), METHODS.get(self.method)
         if self.method == "cma" and importlib.util.find_spec("cma") is None:
             raise InputError(

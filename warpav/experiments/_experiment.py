@@ -84,8 +84,6 @@ class _ArmTask:
 
 @dataclass(frozen=True)
 class Finished:
-    """What an experiment has come to."""
-
     folder: Path
     results: dict[str, list[dict[str, Any]]]
     failed: list[str]
@@ -389,7 +387,6 @@ def outcomes(
 
 
 def _line(outcome: Outcome[_ArmTask, dict[str, Any]]) -> str:
-    """What became of a task, in one line."""
     name = f"{outcome.task.arm.name}, run seed {outcome.task.config.run.seed}"
     if outcome.error is not None or outcome.result is None:
         return f"{name}: failed: {outcome.error}"

@@ -126,7 +126,12 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     """What there is to do to rescore all rigs of an experiment."""
     described = read_description(folder)
     before = _read_rigs(folder)
-    is_same = _same_test_scenes(described["options"], config)
+    # whether rigs are judged on the very test scenes of their experiment, of which it says what can be found
+    options = described["options"]
+    now = json.loads(unseeded(config))
+    names = {name for name in (*options, *now) if name.startswith(("scenes.", "capture.", "reconstruction."))}
+    names -= {"scenes.train_seeds", "scenes.validation_seeds", "scenes.mirror"}
+    is_same = all(options.get(name) == now.get(name) for name in names)
     unused = next(seed for seed in config.scenes.train_seeds if seed not in config.scenes.test_seeds)
     without_training = (
         f"scenes.train_seeds=[{unused}]",
@@ -237,11 +242,3 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     }
     write_json(task.file, result)
     return result
-
-
-def _same_test_scenes(options: Mapping[str, Any], config: Config) -> bool:
-    """Whether rigs are judged on the very test scenes of their experiment, of which it says what can be found."""
-    now = json.loads(unseeded(config))
-    names = {name for name in (*options, *now) if name.startswith(("scenes.", "capture.", "reconstruction."))}
-    names -= {"scenes.train_seeds", "scenes.validation_seeds", "scenes.mirror"}
-    return all(options.get(name) == now.get(name) for name in names)

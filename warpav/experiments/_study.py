@@ -84,8 +84,6 @@ class _Factor(_Part):
 
 
 class _StudyFile(_Part):
-    """A file of ``studies/``."""
-
     config: str = "default"
     options: tuple[str, ...] = ()
     arms: tuple[str | _ArmFile, ...] = ()
@@ -105,8 +103,6 @@ class _StudyFile(_Part):
 
 @dataclass(frozen=True)
 class Study:
-    """What is compared."""
-
     name: str
     config: str
     arms: tuple[Arm, ...]

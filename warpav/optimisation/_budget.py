@@ -121,17 +121,14 @@ class BudgetedValue:
 
     @property
     def camera_renders_per_rig(self) -> int:
-        """Camera renders that a look at a rig costs."""
         return self.scene_count * self.space.camera_count
 
     @property
     def camera_renders_left(self) -> int:
-        """Camera renders that may still be spent."""
         return self.camera_renders_max - self.camera_renders
 
     @property
     def rigs_left(self) -> int:
-        """How many rigs can still be looked at."""
         return self.camera_renders_left // self.camera_renders_per_rig
 
     def __call__(self, mount_pose: np.ndarray) -> float:

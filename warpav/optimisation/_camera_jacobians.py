@@ -47,7 +47,6 @@ class CameraJacobians:
         self._views: dict[int, _Views] = {}
 
     def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
-        """See `SingleCameras.with_jacobian`."""
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
         peopled = [scene for scene in scenes if scene.vehicle_count > 0]
         if not peopled or not len(pose):

@@ -32,8 +32,6 @@ _SLOPE_STEP_M = 1e-6
 
 @dataclass(frozen=True)
 class Margin:
-    """How far a rig is from breaking one constraint."""
-
     kind: str  # ``border``, the distance of a camera to the border of where it may stand, negative outside
     cameras: tuple[str, ...]  # names of the cameras
     value_m: float  # the distance [m]
@@ -43,7 +41,6 @@ class Margin:
 
     @classmethod
     def of(cls, kind: str, cameras: Sequence[RigCamera], value_m: float, limit_m: float) -> Margin:
-        """The margin of some cameras."""
         slack_m = float(value_m) - limit_m
         names = tuple(camera.name for camera in cameras)
         return cls(kind, names, float(value_m), limit_m, slack_m, slack_m >= -_ROUNDING_M)
@@ -353,11 +350,9 @@ class ZoneAndSpacing(Constraints):
         return kept_m
 
     def contains(self, place_m: np.ndarray) -> np.ndarray:
-        """As in `Constraints`."""
         return self.surface.zone_distance_m(place_m) >= self.margin_m
 
     def do_not_fit(self, camera_count: int) -> OptionError:
-        """As in `Constraints`."""
         area_m2 = np.count_nonzero(self.surface.border_distance_m >= self.margin_m) * self.surface.cell_m**2
         return do_not_fit(f"the mountable zone of {area_m2:.2f} m²", self.min_spacing_m, camera_count)
 

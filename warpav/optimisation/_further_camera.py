@@ -41,7 +41,6 @@ class FurtherCameras:
     gain: np.ndarray
 
     def __len__(self) -> int:
-        """Number of cameras."""
         return len(self.gain)
 
     @property
@@ -60,7 +59,6 @@ class FurtherCameras:
         return np.array(best, int)
 
     def __getitem__(self, index: slice | np.ndarray) -> FurtherCameras:
-        """Some of them."""
         return FurtherCameras(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def rows(self, count: int = _SHOWN) -> list[dict[str, float]]:

@@ -44,8 +44,6 @@ _FRONT_RAD = math.radians(15.0)
 
 @dataclass(frozen=True, eq=False)
 class HandRig:
-    """A rig by hand."""
-
     name: str
     numbers: str  # what was varied, in words
     mount_pose: np.ndarray  # float32 [camera, 7], of symmetric mounts without the mirror images

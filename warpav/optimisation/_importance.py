@@ -25,7 +25,6 @@ class Importance:
     """Weights of road users, found once for each scene."""
 
     def __init__(self, settings: ImportanceSettings) -> None:
-        """Weights by some settings."""
         self.settings = settings  # what they follow
         self._of_scene: WeakKeyDictionary[DeviceScene, np.ndarray] = WeakKeyDictionary()
 

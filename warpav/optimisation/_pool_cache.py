@@ -117,7 +117,10 @@ class PoolCache:
         """Where the cameras stand in a chunk, -1 where they do not, int [camera]."""
         if file not in self._pose:
             arrays, identity = read_arrays(file)
-            _check_identity(file, identity, {**self._identity, "scenes": [scene]})
+            expected = {**self._identity, "scenes": [scene]}
+            for name, text in _MEANING.items():
+                if identity.get(name) != expected[name]:
+                    raise InputError(f"{file}: {name}: expected a pool {text}; remove it, and draw it again")
             self._pose[file] = arrays["mount_pose"]
         return rows_of(mount_pose, self._pose[file])
 
@@ -155,10 +158,3 @@ def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], _Identity]:
     if words["format"] != _FORMAT or not isinstance(words["identity"], dict):
         raise ValueError(f"format {words['format']}")
     return arrays, words["identity"]
-
-
-def _check_identity(file: Path, found: _Identity, expected: _Identity) -> None:
-    """Make sure that a file was drawn with what is expected."""
-    for name, text in _MEANING.items():
-        if found.get(name) != expected[name]:
-            raise InputError(f"{file}: {name}: expected a pool {text}; remove it, and draw it again")

@@ -348,7 +348,10 @@ class PoolRules:
         rules, cameras = self.rules, self.cameras.sides[side]
         views, models = cameras.in_ego(pose)
         middle_m = Body.of(self.vehicle).centre_m
-        point_m = self._points_m()
+        parts = [np.zeros((0, 3))]
+        parts += [] if self.gap_steps is None else [self._ring_m]
+        parts += [] if self.near_level is None else [self._near_m[self.near_level]]
+        point_m = np.concatenate(parts)
         limit = np.array([own_body_limit(rules, model) for model in models])
         share, by_view = self._body_shares(side, pose, views, models)
         body = 1.0 + _MARGIN_SCALE * (limit - share)
@@ -376,12 +379,6 @@ class PoolRules:
             value[:, 2:] = np.where(seen, value[:, 2:], np.minimum(value[:, 2:], 0.0))
         value, slope = self._joined(value, slope)
         return np.c_[body, value], np.concatenate([body_slope, slope], axis=1)
-
-    def _points_m(self) -> np.ndarray:
-        parts = [np.zeros((0, 3))]
-        parts += [] if self.gap_steps is None else [self._ring_m]
-        parts += [] if self.near_level is None else [self._near_m[self.near_level]]
-        return np.concatenate(parts)
 
     def _joined(self, value: np.ndarray, slope: np.ndarray) -> Margins:
         """Margins of windows of the ring instead of its points: the greatest of each."""

@@ -101,7 +101,6 @@ class PoolRun(PoolSearch):
 
     @property
     def best(self) -> Candidate:
-        """The last of the candidates."""
         return self.candidates[-1]
 
     @property

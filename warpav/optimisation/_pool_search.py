@@ -239,7 +239,6 @@ class PoolSearch:
         return known | {"rng": self._rng.bit_generator.state}
 
     def _found(self, stage: _Stage, *, is_final: bool = True) -> Found:
-        """The state of the search."""
         assert self.rig is not None
         return Found(
             self.rig,

@@ -137,7 +137,6 @@ class RequiredPoints:
 
     @property
     def vehicle_count(self) -> int:
-        """Number of points."""
         return len(self.ghosts)
 
     @cached_property

@@ -42,7 +42,6 @@ class Exchange:
     """
 
     def __init__(self, camera_count: int, constraint_count: int, loss_count: int, *, device: str) -> None:
-        """Zeros."""
         self._device = device
         self._shape = (camera_count, MOUNT_POSE_SIZE)
         # the last is nobody's: Warp cannot slice what is empty from the end of an array
@@ -85,7 +84,6 @@ class Exchange:
         self.zero()
 
     def zero(self) -> None:
-        """Gradients and sums of 0."""
         assert self._sent.grad is not None
         self._sent.grad.zero_()
         self.batch_loss.zero_()

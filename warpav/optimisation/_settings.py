@@ -169,7 +169,6 @@ class _Sector:
 
     @property
     def width_deg(self) -> float:
-        """From edge to edge [deg]."""
         return self.to_deg - self.from_deg
 
     def contains(self, azimuth_deg: np.ndarray) -> np.ndarray:
@@ -178,7 +177,6 @@ class _Sector:
         return (turned_deg < self.width_deg) | (self.width_deg >= 360.0)  # rounding gives a whole turn for -1e-17
 
     def overlaps(self, other: _Sector) -> bool:
-        """Whether some azimuth is in both."""
         return bool(self.contains(np.array(other.from_deg)) or other.contains(np.array(self.from_deg)))
 
 
@@ -305,7 +303,6 @@ class ImportanceSettings(Section):
 
     @property
     def is_set(self) -> bool:
-        """Whether anything is."""
         return bool(self.category or self.distance_m or self.time_to_collision_s or self.sector_deg)
 
 

@@ -50,7 +50,6 @@ class SearchSpace:
 
     @property
     def camera_count(self) -> int:
-        """Number of cameras."""
         return len(self.low)
 
     @property
@@ -73,7 +72,6 @@ class SearchSpace:
 
     @property
     def size(self) -> int:
-        """How many numbers are searched."""
         return int(np.count_nonzero(self.free))
 
     def pose_of(self, unit: np.ndarray) -> np.ndarray:

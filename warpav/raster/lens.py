@@ -84,7 +84,6 @@ class LensShape:
 
     @property
     def is_panorama(self) -> bool:
-        """Whether columns are azimuths, which go round."""
         return self.lens in (Lens.PANORAMA, Lens.EQUIRECTANGULAR)
 
     @property

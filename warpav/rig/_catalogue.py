@@ -42,7 +42,6 @@ _HEADINGS += ("power [W]", "role", "zones", "source")
 
 
 def _row(module: Module) -> tuple[str, ...]:
-    """What a table says of a module, in the order of `_HEADINGS`."""
     model = module.camera_model()
     crop = " crop" if module.network_by is Fitting.CROP else ""
     return (
@@ -93,7 +92,6 @@ class _ModuleForm(Form):
     source: str = Field(description="where the figures come from, as text")
 
     def module(self) -> Module:
-        """The module of these figures."""
         given: dict[str, Any] = {name: value for name, value in self if name in self.model_fields_set}
         given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
         for name in {"fov_deg", "vertical_fov_deg"} & given.keys():

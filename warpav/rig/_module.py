@@ -76,16 +76,12 @@ PLAIN_HOUSING = Housing((0.08, 0.08, 0.08))
 
 @dataclass(frozen=True)
 class Price:
-    """What a module costs."""
-
     value: float
     unit: str = "relative"
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is wrong with one field of a module."""
-
     field: str
     expected: str
     got: str
@@ -96,10 +92,7 @@ class _Problem:
 
 
 class ModuleError(InputError):
-    """A module cannot be what it says."""
-
     def __init__(self, name: object, problems: tuple[_Problem, ...]) -> None:
-        """The error, one line a problem."""
         super().__init__(*(f"module {name!r}: {each.field}: {each}" for each in problems))
         self.name, self.problems = name, problems
 

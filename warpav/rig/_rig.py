@@ -285,7 +285,6 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
         return self
 
     def camera(self, modules: Mapping[str, Module], panes: Mapping[str, Pane]) -> RigCamera:
-        """The camera."""
         if self.behind_glass is not None and self.behind_glass not in panes:
             expected = f"one of panes, {', '.join(panes)}" if panes else "panes beside frame, with this name"
             hint = nearest(self.behind_glass, panes)
@@ -317,7 +316,6 @@ class _PaneForm(Form):
     reach_m: Point2 = Field(description="2 finite numbers in metres, the lower one first")
 
     def pane(self, name: str) -> Pane:
-        """The pane."""
         outline_m = tuple((x, y, z) for x, y, z in self.outline_m)
         return Pane(name, tuple(self.normal), outline_m, tuple(self.reach_m))  # pyright: ignore[reportArgumentType]
 

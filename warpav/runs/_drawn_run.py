@@ -77,12 +77,10 @@ class DrawnRun:
 
     @cached_property
     def scene(self) -> Scene:
-        """Traffic and street."""
         return self.scene_of()
 
     @cached_property
     def surface(self) -> MountSurface:
-        """What the cameras stand on."""
         return self.surface_of(self.scene)
 
     @cached_property

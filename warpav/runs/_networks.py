@@ -165,8 +165,6 @@ def _camera_settings(config: Config, camera: CameraModel | None) -> dict[str, An
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """The detector, and what losses need of it."""
-
     detector: Detector  # the detector
     differentiable: DifferentiableDetector | None  # the same network, differentiable; None where no loss needs it
 

@@ -291,7 +291,6 @@ class Optimisation:
 
     @property
     def start(self) -> Rig:
-        """The rig that it starts from."""
         return self.placement.mount.rig(self.descent.start)
 
     def run(self, *, progress: Progress, on_step: Callable[[IterationRecord], None] | None = None) -> None:

@@ -345,8 +345,6 @@ draws_runs(Result)
 
 
 class StageTimer:
-    """Wall time of the stages of a run [s]."""
-
     def __init__(self) -> None:
         self._began = self._last = time.perf_counter()
         self._seconds: dict[str, float] = {}

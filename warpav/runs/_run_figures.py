@@ -65,7 +65,6 @@ class RunPictures:
 
     @property
     def rigs(self) -> dict[str, Rig]:
-        """Start and result by their headings."""
         return {self.evaluation.start: self.start, "optimised": self.found}
 
     def draw(self, progress: Progress, *, full: bool) -> None:

@@ -84,7 +84,6 @@ class SceneSet:
 
     @property
     def scenes(self) -> list[DeviceScene]:
-        """All scenes: those of training, of validation, of the test."""
         return [*self.train, *self.validation, *self.test]
 
     def check_vehicle(self, scene: Scene) -> None:

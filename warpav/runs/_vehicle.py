@@ -63,7 +63,6 @@ class _ZonePart:
 
 
 def shipped_vehicles() -> Iterator[str]:
-    """The vehicles that ship with warpav, in words."""
     for name in vehicle_names():
         about = vehicle_about(name)
         length, width, height = np.ptp(read_vehicle(name).bounds_m(), axis=0)

@@ -16,7 +16,6 @@ import warp as wp
 
 from warpav.raster.buffers import Content
 from warpav.raster.mesh import Mesh
-from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import BACKGROUND_ID
 from warpav.raster.scene import Scene as RasterScene
@@ -292,7 +291,8 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
     kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in rig.cameras]
     for kind in dict.fromkeys(kinds):
         group = [camera for camera, each in zip(rig.cameras, kinds, strict=True) if each == kind]
-        body = _body_alone(scene, kind[2])
+        raster = scene.raster.through(kind[2])
+        body = RasterScene(occluders=[raster.foreground_mesh()], device=raster.device)
         transform = np.stack([camera.ego_from_camera for camera in group])
         renderer = Renderer([camera.model for camera in group], device=str(body.device))
         frame = renderer.render(
@@ -304,9 +304,3 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
         covered = (frame.object_id.numpy() != BACKGROUND_ID).mean(axis=(1, 2), dtype=np.float64)
         share |= {camera.name: float(value) for camera, value in zip(group, covered, strict=True)}
     return {camera.name: share[camera.name] for camera in rig.cameras}
-
-
-def _body_alone(scene: DeviceScene, pane: Pane | None) -> RasterScene:
-    """The ego vehicle of a scene as cameras behind a pane see it, and nothing else, on the scene's device."""
-    raster = scene.raster.through(pane)
-    return RasterScene(occluders=[raster.foreground_mesh()], device=raster.device)

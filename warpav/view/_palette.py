@@ -87,5 +87,4 @@ BASELINE_RGB: dict[str, Rgb] = {
 
 
 def hex_colour(rgb: Rgb) -> str:
-    """The colour as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)

@@ -97,7 +97,6 @@ class Picture:
 
     @property
     def vehicle(self) -> Mesh | None:
-        """What carries the cameras."""
         return self.scene.ego if self.ego is None and self.scene is not None else self.ego
 
     @property

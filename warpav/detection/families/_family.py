@@ -36,8 +36,6 @@ COCO_91 = (BACKGROUND, *("N/A" if number in _COCO_GAPS else next(_label_of_80) f
 
 @dataclass(frozen=True)
 class Tensor:
-    """One input or output of a network."""
-
     name: str  # its name in the file
     shape: tuple[int | None, ...]  # its axes; None where an axis is dynamic
     dtype: str  # numPy's name of its numbers, such as float32

@@ -30,8 +30,6 @@ from warpav.scene.traffic.traffic_scene import TrafficSource
 
 @dataclass(frozen=True)
 class Subset:
-    """Scenes that serve one purpose."""
-
     # A level of the town; ``reconstructed``: scenes of the level easy that are recorded by cameras and made of their
     # images again; or recordings that ship with warpav, those of the search or those of the test
     made_of: Level | Literal["reconstructed", "search recordings", "test recordings"]

@@ -32,8 +32,6 @@ _IMAGES_PER_CALL = 32
 
 @dataclass(frozen=True)
 class _Scored:
-    """Objects and detections of one road user in a set of images."""
-
     labelled: LabelledImages
     detections: list[Detections]
     chosen: np.ndarray  # the objects, bool [image, object]

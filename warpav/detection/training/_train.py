@@ -116,7 +116,6 @@ class Training:
         self.generator.manual_seed(self.step)
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint; an older one stays whole until the new one is."""
         state = {
             "network": self.network.state_dict(),
             "average": self.average.state_dict(),

@@ -31,8 +31,6 @@ _SCORED_AT_ONCE = 4  # poses
 
 @dataclass(frozen=True)
 class Timing:
-    """How long something took, and what it held."""
-
     times_ms: list[float]
     threads: int
     setup_ms: float
@@ -41,8 +39,6 @@ class Timing:
 
 
 class Bench:
-    """A workload on a device, ready to be measured."""
-
     def __init__(self, workload: Workload, scene: Scene, *, device: str = "cpu") -> None:
         self.workload = workload
         self.scene = scene

@@ -51,8 +51,6 @@ _MAX_EMBREE_REPEAT = 5
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """What is measured, and how."""
-
     device: str = "cpu"
     lens: str = "pinhole"
     items: str = "w1,w2,w3"
@@ -177,7 +175,15 @@ def _measure(
 
     def silhouettes(supersampling: int) -> tuple[dict[str, Any], dict[str, Any]]:
         progress.stage(f"W1, supersampling x{supersampling}")
-        return _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
+        # the entry of W1 and its scores
+        timing = bench.time_silhouettes(supersampling, repeat=repeat)
+        gradient, loss = bench.score_silhouettes(supersampling)
+        entry = {
+            **_entry(timing, bench, pack_ms),
+            "grad": {name: values.tolist() for name, values in gradient.items()},
+            "value": {name: values.tolist() for name, values in loss.items()},
+        }
+        return entry, {"w1": gradient_scores(gradient, truth.gradient)} if truth is not None and truth.gradient else {}
 
     if "w1" in options.items:
         found["w1"], of_w1 = silhouettes(options.supersampling)
@@ -206,20 +212,6 @@ def _measure(
     if {"w2", "w3"} & found.keys() and (is_worth_it if options.with_embree is None else options.with_embree):
         progress.stage("embree")
         content["reference"] = {"embreex": _measure_embree(workload, found, repeat)}
-
-
-def _measure_silhouettes(
-    bench: Bench, truth: Truth | None, supersampling: int, *, repeat: int, pack_ms: float
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The entry of W1 and its scores."""
-    timing = bench.time_silhouettes(supersampling, repeat=repeat)
-    gradient, loss = bench.score_silhouettes(supersampling)
-    entry = {
-        **_entry(timing, bench, pack_ms),
-        "grad": {name: values.tolist() for name, values in gradient.items()},
-        "value": {name: values.tolist() for name, values in loss.items()},
-    }
-    return entry, {"w1": gradient_scores(gradient, truth.gradient)} if truth is not None and truth.gradient else {}
 
 
 def _collect_images(bench: Bench, truth: Truth | None, append: Callable[..., None] | None) -> dict[str, Any]:

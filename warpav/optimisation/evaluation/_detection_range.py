@@ -76,7 +76,7 @@ class DetectionRange:
             ego: The vehicle in the ego frame [m].
         """
         models = {model: probability(model) for model in dict.fromkeys(camera.model for camera in rig.cameras)}
-        targets = _targets(models[rig.cameras[0].model])
+        targets = models[rig.cameras[0].model].record.get("settings", {}).get("scenes", {}).get("targets", ("vehicle",))
         asked = [name for name in _CATEGORIES if road_user_of(name) in targets] if categories is None else categories
         azimuth_rad = np.arange(azimuth_count) * 2.0 * math.pi / azimuth_count
         middle_m = np.asarray(ego.bounds_m(), np.float64)[:, :2].mean(axis=0)
@@ -128,11 +128,6 @@ class DetectionRange:
 def _logit(probability: np.ndarray) -> np.ndarray:
     bounded = np.clip(probability, 1e-9, 1.0 - 1e-9)
     return np.log(bounded / (1.0 - bounded))
-
-
-def _targets(model: DetectionProbability) -> Sequence[str]:
-    """The kinds of road users that a model was fitted on; vehicles where it does not say."""
-    return model.record.get("settings", {}).get("scenes", {}).get("targets", ("vehicle",))
 
 
 def _alone(category: str, device: str) -> DeviceScene:

@@ -186,8 +186,6 @@ class ArmMetrics:
 
 
 class ObjectOutcome(StrEnum):
-    """Outcome of an object for a rig."""
-
     DETECTED = "detected"
     MISSED = "missed"
     """Some camera sees it well enough for a ground-truth box, but the detector does not find it."""
@@ -279,7 +277,6 @@ class RigObservation:
 
     @property
     def outcomes(self) -> list[ObjectOutcome]:
-        """Outcome of every object."""
         return [
             ObjectOutcome.DETECTED
             if detected
@@ -445,16 +442,6 @@ def _carrying(rig: Rig, scenes: Sequence[AssignedScene]) -> Iterator[AssignedSce
         yield AssignedScene(assigned.scene.carrying(bodies[vehicle]), partial(getattr, assigned, "assigned_camera"))
 
 
-def _confidence_at(
-    false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
-) -> float:
-    """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image."""
-    allowed = math.floor(false_alarms_per_image * images + 1e-9)
-    if len(false_alarm_confidence) <= allowed:
-        return least
-    return float(np.nextafter(false_alarm_confidence[allowed], math.inf))
-
-
 def metrics_of(
     seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
 ) -> ArmMetrics:
@@ -604,7 +591,11 @@ class _Boxes:
     def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
         images = self.false_alarms.size
-        return _confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
+        # the lowest that leaves at most so many false alarms per image
+        allowed = math.floor(false_alarms_per_frame * images + 1e-9)
+        if len(self._alarm_confidence) <= allowed:
+            return self._confidence_min
+        return float(np.nextafter(self._alarm_confidence[allowed], math.inf))
 
     def log_average_miss_rate(self, up_to: np.ndarray) -> float | None:
         """See `ArmMetrics`; ``up_to``: minimum confidence up to which the rig detects each object, float [object]."""

@@ -74,8 +74,6 @@ class PosedRig:
 
 @dataclass(frozen=True)
 class _CameraOutage:
-    """A rig without one of its cameras."""
-
     camera: str
     expected_misses_per_100: float
     difference_per_100: float
@@ -176,11 +174,9 @@ class MountEffect:
 
     @property
     def worst(self) -> float:
-        """The greater of both changes."""
         return max(self.below, self.above)
 
     def to_json(self) -> dict[str, Any]:
-        """As ``evaluation.json`` has it."""
         return {**asdict(self), "worst": self.worst}
 
 
@@ -214,7 +210,6 @@ class MountTolerance:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As ``evaluation.json`` has it, angles in radians."""
         return {
             "position_m": self.position_m,
             "angle_rad": self.angle_rad,
@@ -378,8 +373,6 @@ def soiled_scene(scene: Scene, camera: RigCamera, part: SoiledPart) -> Scene:
 
 @dataclass(frozen=True)
 class _SoiledCamera:
-    """A rig of which one camera is soiled."""
-
     camera: str
     covered_share: float
     expected_misses_per_100: float
@@ -510,8 +503,6 @@ def loaded_scene(scene: Scene, state: LoadState) -> Scene:
 
 @dataclass(frozen=True)
 class _LoadedRig:
-    """A rig on a vehicle under a load."""
-
     name: str
     state: LoadState
     expected_misses_per_100: float
@@ -531,7 +522,6 @@ class LoadStates:
         return max(self.states, key=lambda each: each.difference_per_100)
 
     def to_json(self) -> dict[str, Any]:
-        """As the file of ``warpav evaluate --json`` has it."""
         return {**asdict(self), "worst": self.worst.name}
 
     def table(self) -> Table:

@@ -48,7 +48,6 @@ class Difference:
     scenes: int
 
     def to_json(self) -> dict[str, float | int | None]:
-        """As ``evaluation.json`` has it."""
         return {"mean": self.mean, "low": self.low, "high": self.high, "scenes": self.scenes}
 
 

@@ -24,11 +24,9 @@ class ExpectedMissRate(DeviceLoss):
 
     @classmethod
     def of(cls, options: LossOptions) -> ExpectedMissRate:
-        """With the parameters of a configuration."""
         return cls(options.settings.combine, options.settings.detector_share)
 
     def needs(self, schedule: LossSchedule) -> Needs:
-        """The detection probability; the panorama and the detector while they have a share."""
         return Needs(
             panorama=schedule.panorama_share > 0.0,
             detections=DetectedImages.ALL if schedule.detector_share > 0.0 else DetectedImages.NONE,

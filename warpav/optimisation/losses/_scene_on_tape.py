@@ -28,7 +28,6 @@ class CameraProbability:
 
     @classmethod
     def of(cls, settings: LossSettings, model: DetectionProbability | None) -> CameraProbability | None:
-        """With the parameters of a configuration; None without a model."""
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
 
     def share_of_box(self, seen: Seen) -> wp.array | None:
@@ -67,12 +66,10 @@ class SceneOnTape:
 
     @property
     def camera_count(self) -> int:
-        """Number of cameras."""
         return self.views.mount_pose.shape[0]
 
     @property
     def rotation_count(self) -> int:
-        """Views of every camera."""
         return self.frame.view_count // self.camera_count
 
     @cached_property
@@ -84,7 +81,6 @@ class SceneOnTape:
 
     @cached_property
     def assigned_count(self) -> int:
-        """Number of vehicles that have a camera."""
         return int(np.count_nonzero(self.assigned_camera >= 0))
 
     @cached_property

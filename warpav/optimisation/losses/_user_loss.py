@@ -34,7 +34,6 @@ class Objects:
 
     @classmethod
     def of(cls, scene: DeviceScene, weight: np.ndarray) -> Objects:
-        """Those of a scene, with their weights, float [object]."""
         return cls(scene.name, tuple(scene.category), np.asarray(scene.from_ego_m), np.asarray(weight, np.float64))
 
 

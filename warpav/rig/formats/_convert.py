@@ -77,7 +77,6 @@ class _ExportOptions:
 
 
 def find_format(name: str) -> RigFormat:
-    """The format of a name."""
     plain = name.strip().lower().replace("_", "-")
     plain = _OTHER_NAMES.get(plain, plain)
     if plain == "carla":
@@ -234,7 +233,6 @@ def export_rig_with_notes(
 
 
 def check_target(file: Path, *, overwrite: bool) -> None:
-    """Check that a file can be written."""
     if file.is_dir():
         raise InputError(f"{file}: expected a file to write, got a folder; name a file in it")
     if file.exists() and not overwrite:

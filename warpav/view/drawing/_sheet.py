@@ -99,8 +99,6 @@ class Mark:
 
 @dataclass(eq=False, kw_only=True)
 class Sheet:
-    """What is on a sheet."""
-
     scale: float
     views: tuple[View, ...]
     mounts: tuple[Mount, ...]
