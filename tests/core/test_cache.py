@@ -104,7 +104,7 @@ def test_what_a_town_is_not_made_with_does_not_matter(copied_code, file):
 @pytest.fixture
 def folder(tmp_path):
     """Three files of 100 bytes: one used long ago, one ten minutes ago, one now."""
-    for name, age_s in (("old", 2.0 * module.IN_USE_S), ("used", 600.0), ("new", 0.0)):
+    for name, age_s in (("old", 2.0 * module._IN_USE_S), ("used", 600.0), ("new", 0.0)):
         (tmp_path / name).write_bytes(bytes(100))
         os.utime(tmp_path / name, (time.time() - age_s,) * 2)
     return tmp_path

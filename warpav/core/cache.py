@@ -23,7 +23,7 @@ from warpav.core.files import DRAFT
 
 _Item = TypeVar("_Item")
 
-IN_USE_S = 3600.0
+_IN_USE_S = 3600.0
 """Other runs may still be using a file that was used so short a time ago; nobody writes one for so long."""
 _FREE_MIN = 0.1
 """Share of the disk that has to be free for what is in use to stay beyond the capacity."""
@@ -78,12 +78,12 @@ def remove_oldest(folder: Path, pattern: str, *, capacity_bytes: int) -> None:
     with contextlib.suppress(OSError):  # another process removes as well
         now = time.time()
         for draft in folder.glob(f"{DRAFT}*"):
-            if now - draft.stat().st_mtime > IN_USE_S:
+            if now - draft.stat().st_mtime > _IN_USE_S:
                 draft.unlink()
         found = [(file.stat(), file) for file in folder.glob(pattern)]
         left = sum(status.st_size for status, _ in found)
         for status, file in sorted(found, key=lambda each: each[0].st_mtime):
-            if left <= capacity_bytes or (now - status.st_mtime < IN_USE_S and _has_room(folder)):
+            if left <= capacity_bytes or (now - status.st_mtime < _IN_USE_S and _has_room(folder)):
                 break
             file.unlink()
             left -= status.st_size

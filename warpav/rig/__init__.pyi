@@ -43,6 +43,9 @@ from warpav.rig._zone import Zone as Zone
 from warpav.rig._zone import ZonesForm as ZonesForm
 from warpav.rig._zone import read_zones as read_zones
 from warpav.rig._zone import write_zones as write_zones
+from warpav.rig.formats import EXPORTED_ONLY as EXPORTED_ONLY
+from warpav.rig.formats import IMPORTED_ONLY as IMPORTED_ONLY
+from warpav.rig.formats import RIG_FORMATS as RIG_FORMATS
 from warpav.rig.formats._convert import ImportOptions as ImportOptions
 from warpav.rig.formats._convert import check_target as check_target
 from warpav.rig.formats._convert import export_rig as export_rig

@@ -46,8 +46,6 @@ from warpav.scene import Scene, scene_path, write_scene
 from warpav.view import plot
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from warpav.optimisation import AssignedScene
     from warpav.runs.report._content import RunContent
     from warpav.sight import RequirementResult

@@ -22,7 +22,6 @@ class BoundsAndSpacing(Constraints):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """As in `Constraints`."""
         return ("out_of_bounds", "camera_spacing")
 
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
@@ -47,13 +46,11 @@ class BoundsAndSpacing(Constraints):
         return loss
 
     def contains(self, place_m: np.ndarray) -> np.ndarray:
-        """As in `Constraints`."""
         low_m, high_m = self.surface.bounds_m
         place_m = np.asarray(place_m, np.float64)
         return ((place_m >= low_m) & (place_m <= high_m)).all(axis=-1)
 
     def do_not_fit(self, camera_count: int) -> OptionError:
-        """As in `Constraints`."""
         size = np.diff(self.surface.bounds_m, axis=0)[0]
         return do_not_fit(f"the mount surface of {size[0]:.2f} m x {size[1]:.2f} m", self.min_spacing_m, camera_count)
 

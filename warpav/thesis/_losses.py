@@ -17,7 +17,6 @@ class _ThesisLoss(DeviceLoss):
     needed = Needs(panorama=True, one_field=True)
 
     def needs(self, schedule: LossSchedule) -> Needs:
-        """As in `Loss`."""
         del schedule
         return self.needed
 
@@ -26,7 +25,6 @@ class _AssignedVehicleLoss(_ThesisLoss):
     """Mean over the assigned vehicles of a scene; a scene without any costs nothing."""
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
-        """As in `DeviceLoss`."""
         device = scene.frame.device
         loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
         if scene.assigned_count == 0:
@@ -69,7 +67,6 @@ class InFrameRotation(_AssignedVehicleLoss):
 
     @classmethod
     def of(cls, options: LossOptions) -> InFrameRotation:
-        """With the parameters of a configuration."""
         return cls(options.settings.epsilon)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
@@ -115,7 +112,6 @@ class DetectedArea(_AssignedVehicleLoss):
 
     @classmethod
     def of(cls, options: LossOptions) -> DetectedArea:
-        """With the parameters of a configuration."""
         return cls(options.settings.min_detected_area, options.settings.epsilon, options.reference)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
@@ -145,7 +141,6 @@ class ObjectVisibility(_AssignedVehicleLoss):
 
     @classmethod
     def of(cls, options: LossOptions) -> ObjectVisibility:
-        """With the parameters of a configuration."""
         return cls(options.settings.min_detected_area, options.reference)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
@@ -174,7 +169,6 @@ class SurfaceBlockage(_AssignedVehicleLoss):
 
     @classmethod
     def of(cls, options: LossOptions) -> SurfaceBlockage:
-        """With the parameters of a configuration."""
         return cls(options.settings.min_unblocked_area)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
@@ -218,12 +212,10 @@ class AngularCoverage(_ThesisLoss):
 
     @classmethod
     def of(cls, options: LossOptions) -> AngularCoverage:
-        """It has no parameters."""
         del options
         return cls()
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
-        """As in `DeviceLoss`."""
         device, mount_pose = scene.frame.device, scene.views.mount_pose
         loss = wp.zeros(1, dtype=float, device=device, requires_grad=True)
         next_camera = wp.zeros(scene.camera_count, dtype=wp.int32, device=device)

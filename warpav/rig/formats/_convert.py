@@ -23,24 +23,9 @@ from warpav.core.records import nearest
 from warpav.raster.camera import CameraModel
 from warpav.rig._check import FAR_M, mirrored_cameras
 from warpav.rig._rig import Rig, RigCamera
+from warpav.rig.formats import IMPORTED_ONLY, RIG_FORMATS
 from warpav.rig.formats._format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
 from warpav.rig.formats._ros import FOLDER, read_camera_infos
-
-_MODULES = {
-    "nuscenes": "_data_sets",
-    "argoverse2": "_data_sets",
-    "urdf": "_ros",
-    "camera-info": "_ros",
-    "autoware": "_ros",
-    "carla-ros-bridge": "_carla",
-    "carla-python": "_carla",
-    "kitti": "_data_sets",
-    "opencv": "_calibration",
-    "alpasim": "_alpasim",
-    "kalibr": "_calibration",
-}
-"""Where the formats are, by name; each module has its `RigFormat` rows in ``FORMATS``."""
-FORMAT_NAMES = tuple(_MODULES)
 
 _OTHER_NAMES = {
     "av2": "argoverse2",
@@ -85,10 +70,10 @@ def find_format(name: str) -> RigFormat:
             "expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
             "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla, which may be either",
         )
-    if plain not in _MODULES:
-        hint = nearest(plain, [*_MODULES, *_OTHER_NAMES])
-        raise ArgumentError("format_name", f"expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}")
-    module = importlib.import_module(f"warpav.rig.formats.{_MODULES[plain]}")
+    if plain not in RIG_FORMATS:
+        hint = nearest(plain, [*RIG_FORMATS, *_OTHER_NAMES])
+        raise ArgumentError("format_name", f"expected one of {', '.join(RIG_FORMATS)}, got {name!r}{hint}")
+    module = importlib.import_module(f"warpav.rig.formats.{RIG_FORMATS[plain]}")
     return next(form for form in module.FORMATS if form.name == plain)
 
 
@@ -109,7 +94,7 @@ def import_rig(
 
     Args:
         path: File or folder.
-        format_name: One of `FORMAT_NAMES`, such as ``"urdf"``.
+        format_name: One of `RIG_FORMATS`, such as ``"urdf"``.
         origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
         origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
         width_px: Image width [px] of cameras without one.
@@ -197,7 +182,7 @@ def export_rig(
 
     Args:
         rig: The cameras.
-        format_name: One of `FORMAT_NAMES`, such as ``"autoware"``.
+        format_name: One of `RIG_FORMATS`, such as ``"autoware"``.
         target: File or folder, as the format has it; folders are made.
         origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
         origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
@@ -245,7 +230,7 @@ def check_target(file: Path, *, overwrite: bool) -> None:
 def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options: _ExportOptions) -> dict[Path, bytes]:
     """The files that hold a rig, unwritten."""
     if form.write is None:
-        names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
+        names = ", ".join(name for name in RIG_FORMATS if name not in IMPORTED_ONLY)
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(_placement(options.origin_m, options.origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
@@ -255,12 +240,9 @@ def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options
 def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:
     """The formats that can be exported and hold a rig without loss, and why the others do not."""
     fit, unfit = [], {}
-    for name in FORMAT_NAMES:
-        form = find_format(name)
-        if form.write is None:
-            continue
+    for name in (name for name in RIG_FORMATS if name not in IMPORTED_ONLY):
         try:
-            _content_of(rig, form, Path("rig"), Losses(name), _ExportOptions())
+            _content_of(rig, find_format(name), Path("rig"), Losses(name), _ExportOptions())
             fit.append(name)
         except InputError as error:
             unfit[name] = str(error).removeprefix(f"{name}: ")
