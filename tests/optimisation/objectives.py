@@ -47,10 +47,13 @@ def rig_objective(
     return RigObjective(
         mount,
         detector,
-        losses=losses_of(LossOptions(settings, reference, differentiable_detector)),
         camera_probability=CameraProbability.of(settings, probability),
         options=ObjectiveOptions(**options),
-        **{"constraints": BoundsAndSpacing(mount.surface), **others},
+        **{
+            "losses": losses_of(LossOptions(settings, reference, differentiable_detector)),
+            "constraints": BoundsAndSpacing(mount.surface),
+            **others,
+        },
     )
 
 

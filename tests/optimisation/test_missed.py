@@ -49,7 +49,9 @@ def probability_model(rng):
     return DetectionProbability(start, step, coefficient, -0.5)
 
 
-def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
+def objective_of(
+    device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, others=(), **settings
+):
     scales = {"expected_miss_rate": 1.0, **settings}
     return rig_objective(
         CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
@@ -59,6 +61,7 @@ def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, ca
         occlusion=Occlusion.EXACT,
         supersampling=supersampling,
         probability=model or probability_model(np.random.default_rng(3)),
+        **dict(others),
     )
 
 
