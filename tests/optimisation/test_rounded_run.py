@@ -14,7 +14,7 @@ from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_pool_rules import RULES, kept_by, mount, rules_of
 from warpav.optimisation import PoolRun, PoolSearchSettings, PoolTask
 from warpav.optimisation._pool import spread_mount_poses
-from warpav.optimisation._rounding import roundings
+from warpav.optimisation._pool_run import roundings
 from warpav.sight import RuleCheck
 
 FOUR = zone_of(mount(), 4)

@@ -11,7 +11,7 @@ from tests.optimisation.test_hand_rigs import flat
 from warpav.core.errors import InputError
 from warpav.optimisation import CameraMount, ZoneAndSpacing, mount_pose_by_hand, workshop_rig
 from warpav.optimisation._mount import named_by_direction
-from warpav.optimisation._rounding import roundings
+from warpav.optimisation._pool_run import roundings
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig import NORMALS, Housing, Module, Price, RigCamera, Role, Zone, chart_of, with_middles

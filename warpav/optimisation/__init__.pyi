@@ -1,6 +1,5 @@
 """What others use of this package; it is imported when it is first used."""
 
-from warpav.optimisation._attainable import attainable_objects as attainable_objects
 from warpav.optimisation._baselines import edge_mount_pose as edge_mount_pose
 from warpav.optimisation._baselines import highest_mount_pose as highest_mount_pose
 from warpav.optimisation._baselines import move_to_vehicle as move_to_vehicle
@@ -49,6 +48,7 @@ from warpav.optimisation._pool_cache import rows_of as rows_of
 from warpav.optimisation._pool_cache import write_arrays as write_arrays
 from warpav.optimisation._pool_rules import PoolRules as PoolRules
 from warpav.optimisation._pool_run import PoolRun as PoolRun
+from warpav.optimisation._pool_run import workshop_rig as workshop_rig
 from warpav.optimisation._pool_search import PoolSearchSettings as PoolSearchSettings
 from warpav.optimisation._pool_search import PoolTask as PoolTask
 from warpav.optimisation._pool_search import too_near as too_near
@@ -71,7 +71,6 @@ from warpav.optimisation._rivals import random_search as random_search
 from warpav.optimisation._rivals import selected_search as selected_search
 from warpav.optimisation._rivals import sobol_rigs as sobol_rigs
 from warpav.optimisation._rivals import sobol_search as sobol_search
-from warpav.optimisation._rounding import workshop_rig as workshop_rig
 from warpav.optimisation._settings import LOSSES as LOSSES
 from warpav.optimisation._settings import METHOD_LOSSES as METHOD_LOSSES
 from warpav.optimisation._settings import ImportanceSettings as ImportanceSettings
@@ -94,6 +93,7 @@ from warpav.optimisation.evaluation._metrics import ObjectOutcome as ObjectOutco
 from warpav.optimisation.evaluation._metrics import RigObservation as RigObservation
 from warpav.optimisation.evaluation._metrics import RigObserver as RigObserver
 from warpav.optimisation.evaluation._metrics import SceneObservations as SceneObservations
+from warpav.optimisation.evaluation._metrics import attainable_objects as attainable_objects
 from warpav.optimisation.evaluation._metrics import metrics_of as metrics_of
 from warpav.optimisation.evaluation._metrics import observe_scenes as observe_scenes
 from warpav.optimisation.evaluation._perturbations import CameraOutages as CameraOutages

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,17 +20,19 @@ from warpav.detection import expected_miss_rate, shares_of
 from warpav.optimisation._camera_loss import RobustValue
 from warpav.optimisation._further_camera import FurtherCameras, further_cameras
 from warpav.optimisation._hand_rigs import HandRig
-from warpav.optimisation._mount import LOG_ZOOM
+from warpav.optimisation._mount import LOG_ZOOM, CameraMount, mirror_image
 from warpav.optimisation._mount_errors import COLUMNS
 from warpav.optimisation._pool import CameraPool, Drawing
 from warpav.optimisation._pool_cache import rows_of
 from warpav.optimisation._pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation._records import Candidate, IterationRecord, named_part, part_of, rig_fields
 from warpav.optimisation._replacements import within_half_a_turn
-from warpav.optimisation._rounding import STEP_DEG, STEP_M, roundings
 from warpav.optimisation.selection._relaxation import Price
+from warpav.rig import Rig, RigCamera
 
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven")
+STEP_M, STEP_DEG = 0.005, 0.5
+"""Steps of the numbers of poses as a workshop takes them."""
 _ROUNDINGS_AT_ONCE = 4
 """Roundings of a camera of which the best is taken."""
 _ROUNDED_BY = np.array([STEP_M, STEP_M, *3 * [math.radians(STEP_DEG)], STEP_M, 0.001])  # numbers of a mount pose
@@ -349,3 +352,44 @@ class PoolRun(PoolSearch):
             camera_renders=found.camera_renders,
             **rig_fields(self.task.cameras.mount, found.mount_pose),
         )
+
+
+def workshop_rig(rig: Rig, staying: Collection[str] = ()) -> Rig:
+    """A rig with all numbers rounded, in the ego frame; cameras of the names ``staying`` stay as they are."""
+    return Rig(each if each.name in staying else _rounded(each) for each in rig.cameras)
+
+
+def _rounded(camera: RigCamera, ways: tuple[bool, ...] = (False,) * 5) -> RigCamera:
+    """A camera with rounded numbers; ``ways``: whether x, y, z, yaw, pitch are rounded to the other side."""
+    numbers = np.append(camera.position_m / STEP_M, np.degrees([camera.yaw_rad, camera.pitch_rad]) / STEP_DEG)
+    steps = np.round(numbers)
+    steps += np.where(ways, np.where(numbers >= steps, 1.0, -1.0), 0.0)
+    yaw_rad, pitch_rad = np.radians(steps[3:] * STEP_DEG)
+    roll_rad = math.radians(round(math.degrees(camera.roll_rad) / STEP_DEG) * STEP_DEG)
+    position_m = np.round(steps[:3] * STEP_M, 6)
+    return dataclasses.replace(
+        camera, position_m=position_m, yaw_rad=float(yaw_rad), pitch_rad=float(pitch_rad), roll_rad=roll_rad
+    )
+
+
+def roundings(pose: np.ndarray, mount: CameraMount, fits: Callable[[np.ndarray], bool]) -> Iterator[np.ndarray]:
+    """Mount poses [7] of a camera, or a pair, with rounded numbers, the nearest first.
+
+    Args:
+        pose: As it is.
+        mount: What it is on, of single cameras.
+        fits: Whether a camera, [1, 7], keeps what it must keep alone.
+    """
+    cameras = mount.rig(pose[None]).cameras
+    is_in_the_middle = mount.is_symmetric and len(cameras) == 1
+    known = set[bytes]()
+    for ways in sorted(itertools.product((False, True), repeat=5), key=sum):
+        if is_in_the_middle and (ways[1] or ways[3]):
+            continue
+        rounded = _rounded(cameras[0], ways)
+        pair = [rounded] if len(cameras) == 1 else [rounded, mirror_image(rounded)]
+        rig = Rig(dataclasses.replace(camera, name=f"side_{k}") for k, camera in enumerate(pair))
+        found = mount.mount_pose_of_rig(rig)
+        if found.tobytes() not in known and fits(found):
+            yield found[0]
+        known.add(found.tobytes())

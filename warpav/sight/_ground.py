@@ -16,7 +16,7 @@ from warpav.rig import Rig, RigCamera
 from warpav.scene import DeviceScene, Scene
 from warpav.sight._requirement import SECTORS, sectors_of
 from warpav.sight._sight import sight
-from warpav_kernels.sight import ground as kernels
+from warpav_kernels.raster import ground as kernels
 
 HEIGHTS_M = (1.1, 1.7)
 """Top of a child's and of an adult's head above the ground [m]."""

@@ -18,7 +18,7 @@ from warpav.core.cores import available_cores
 from warpav.raster.pane import Pane
 from warpav.rig import Rig, RigCamera
 from warpav.scene import DeviceScene
-from warpav_kernels.sight import ground as kernels
+from warpav_kernels.raster import ground as kernels
 
 
 @dataclass(frozen=True, eq=False)

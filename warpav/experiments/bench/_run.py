@@ -25,8 +25,7 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device, load_warp
-from warpav.experiments.bench._scores import ImageScores, gradient_scores
-from warpav.experiments.bench._table import bench_table, peer_note, sweep_table
+from warpav.experiments.bench._scores import ImageScores, bench_table, gradient_scores, peer_note, sweep_table
 from warpav.experiments.bench._workload import (
     LENSES,
     Truth,
@@ -109,7 +108,7 @@ def _read_work(workload_file: Path | None, truth_file: Path | None, lens: str) -
     if lens != "pinhole":
         if truth_file is not None:
             raise ArgumentError("truth", f"expected none with the lens {lens}, as truths are those of pinholes")
-        from warpav.experiments.bench._reference import embree_truth
+        from warpav.experiments.bench._items import embree_truth
 
         workload = dataclasses.replace(workload, lens=lens)
         return workload, embree_truth(workload)
@@ -227,7 +226,7 @@ def _collect_images(bench: Bench, truth: Truth | None, append: Callable[..., Non
 
 
 def _measure_embree(workload: Workload, found: Mapping[str, Any], repeat: int) -> dict[str, Any]:
-    from warpav.experiments.bench._reference import time_embree
+    from warpav.experiments.bench._items import time_embree
 
     times_ms = time_embree(workload, repeat=min(repeat, _MAX_EMBREE_REPEAT))
     result: dict[str, Any] = {"version": metadata.version("embreex"), "threads": 1}

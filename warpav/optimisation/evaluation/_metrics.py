@@ -29,7 +29,8 @@ from warpav.detection import (
 )
 from warpav.optimisation._constraints import min_camera_distance_m
 from warpav.optimisation._mount import CameraMount, PlacedViews, views_of_rig
-from warpav.optimisation._objective import ObjectiveOptions, RigObjective
+from warpav.optimisation._objective import ObjectiveOptions, RigObjective, single_cameras_of
+from warpav.optimisation._pool import CameraPool, Drawing, spread_mount_poses
 from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability
 from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.camera import CameraModel
@@ -61,8 +62,8 @@ OPTIONAL_METRICS = (
     "redundant_rate",
 )
 """Metrics that not every evaluation has: where the objects have weights (section ``importance``), where it is known
-which of them are attainable (`_attainable`), and where some are near; defined per scene as well, but for the attainable
-rate."""
+which of them are attainable (`attainable_objects`), and where some are near; defined per scene as well, but for the
+attainable rate."""
 
 _OF_OBJECTS = frozenset(
     (
@@ -671,3 +672,23 @@ def _mean(values: np.ndarray) -> float | None:
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
     return float(finite.mean()) if len(finite) else None
+
+
+def attainable_objects(
+    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = 128, drawing: Drawing | None = None
+) -> list[np.ndarray] | None:
+    """Which objects of each scene can be found at all, bool [object] each: what stands behind a lorry every rig misses.
+
+    An object is attainable if one of many cameras, spread over places and directions as the first pool of a search is,
+    detects it with a probability of at least one half. That takes no detector, and no rig.
+    """
+    single = single_cameras_of(objective)
+    if single is None:
+        return None
+    packed = [assigned.scene for assigned in scenes]
+    if not any(scene.vehicle_count for scene in packed):
+        return [np.zeros(0, bool) for _ in packed]
+    pose = spread_mount_poses(single.mount, objective.constraints.of_single_cameras, cameras, seed=0)
+    pool = CameraPool.empty(packed, single, drawing).extended(pose, may_see_nothing=True)
+    is_likely = pool.detection_probability.max(axis=0, initial=0.0) >= 0.5
+    return np.split(is_likely, np.cumsum([scene.vehicle_count for scene in packed])[:-1])
