@@ -129,23 +129,23 @@ def test_only_thin_methods_are_exempt(graph, line):
 
 
 MOST_LINES = {
-    "warpav/cli": 1_615,
-    "warpav/core": 2_140,
-    "warpav/detection": 4_603,
-    "warpav/experiments": 3_600,
-    "warpav/optimisation": 11_461,
-    "warpav/raster": 3_767,
-    "warpav/rig": 5_521,
+    "warpav/cli": 1_604,
+    "warpav/core": 2_131,
+    "warpav/detection": 4_572,
+    "warpav/experiments": 3_554,
+    "warpav/optimisation": 11_349,
+    "warpav/raster": 3_764,
+    "warpav/rig": 5_504,
     "warpav/runs": 11_616,
     "warpav/scene": 11_652,
-    "warpav/sight": 2_205,
+    "warpav/sight": 2_199,
     "warpav/thesis": 1_172,
-    "warpav/view": 7_818,
-    "kernels/warpav_kernels": 7_395,
+    "warpav/view": 7_770,
+    "kernels/warpav_kernels": 7_393,
     "tests": 45_935,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 325, 912, 285_000, 812, 9
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 324, 916, 285_000, 812, 9
 
 
 def lines_below(folder):
