@@ -142,7 +142,7 @@ MOST_LINES = {
     "warpav/thesis": 1_172,
     "warpav/view": 7_770,
     "kernels/warpav_kernels": 7_393,
-    "tests": 45_935,
+    "tests": 45_927,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
 MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 324, 916, 285_000, 812, 9

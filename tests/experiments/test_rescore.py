@@ -5,7 +5,8 @@ import shutil
 
 import pytest
 
-from tests.experiments.small_experiment import complaint, overrides
+from tests.cli.small_run import complaint
+from tests.experiments.small_experiment import overrides
 from warpav.cli.app import main
 from warpav.detection import BUILTIN_MODEL_PATH
 from warpav.experiments import _rescore as rescore

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiments.small_experiment import complaint
+from tests.cli.small_run import complaint
 from warpav.core.errors import InputError
 from warpav.experiments import _study as module
 from warpav.experiments import find_study

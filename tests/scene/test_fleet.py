@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from tests.cli.small_run import complaint
 from tests.scene.traffic.recordings import street, write
-from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.scene import SHIPPED, SceneRecipe, TownSource, fleet_of, level_scene, vehicle_mesh, write_vehicle
 from warpav.scene._cache import built_scenes, scene_file
@@ -209,8 +209,5 @@ def test_bad_vehicles_end_with_one_line_and_status_2(tmp_path, monkeypatch, caps
         "option": ["scenes", "statistics", f"scenes.vehicles={vehicles}", "--seeds", "0..1"],
         "flag": ["scenes", "make", "--count", "1", "--out", "out", "--vehicles", vehicles],
     }[command]
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert len(error.strip().splitlines()) == 1
+    assert message in complaint(capsys, *words)
     assert not list(tmp_path.glob("out/*"))
