@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from network_recall import CONFIDENCE_MIN, FIRST_UNSEEN_SEED, matched, visible_boxes
-from warpav.detection.images import render_images
-from warpav.rig.catalogue import read_modules
-from warpav.rig.rig import RigCamera
-from warpav.scene.scene import Scene
+from warpav.detection import render_images
+from warpav.rig import RigCamera, read_modules
+from warpav.scene import Scene
 
 if TYPE_CHECKING:
-    from warpav.detection.detector import Detector
+    from warpav.detection import Detector
 
 MODULES = ("front_8mp_30", "front_8mp_120")
 BEARING_MAX_DEG = 13.0
@@ -86,8 +85,8 @@ def far_vehicles(
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Print a table: a row for a detector and a module, the share that it finds at distances."""
-    from warpav.detection.onnx_detector import OnnxDetector
-    from warpav.scene.town.levels import level_scene
+    from warpav.detection import OnnxDetector
+    from warpav.scene import level_scene
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("networks", nargs="*", metavar="NETWORK", help="ONNX files; the shipped detector always")

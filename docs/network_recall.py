@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.detection.images import CameraImage, render_images
-from warpav.detection.matching import iou_matrix
+from warpav.detection import CameraImage, render_images
+from warpav.detection._matching import iou_matrix
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import RigCamera
-from warpav.scene.scene import Scene
-from warpav.scene.town.town import EYE_HEIGHT_M
+from warpav.rig import RigCamera
+from warpav.scene import Scene
+from warpav.scene.town._town import EYE_HEIGHT_M
 
 if TYPE_CHECKING:
-    from warpav.detection.detector import Detector
-    from warpav.scene.fleet import Fleet
+    from warpav.detection import Detector
+    from warpav.scene import Fleet
 
 SIZE_PX, VISIBLE_MIN, IOU_MIN, CONFIDENCE_MIN = 640, 0.6, 0.5, 0.25
 HEIGHTS_PX = (20, 40)
@@ -183,8 +183,7 @@ def _share_of_vehicles(box_px: np.ndarray, object_index: np.ndarray) -> float:
 
 def _scenes(source: str, count: int, fleet: Fleet | None) -> Iterable[Scene]:
     """Scenes of a level, of the recordings that ship, or of other recordings."""
-    from warpav.scene.town.levels import level_scene
-    from warpav.scene.town.town import ego_vehicle
+    from warpav.scene import ego_vehicle, level_scene
     from warpav.scene.traffic.files import recordings_in, shipped_recordings
     from warpav.scene.traffic.moments import moment_of, moments_of
     from warpav.scene.traffic.traffic_scene import TrafficSource
@@ -199,8 +198,8 @@ def _scenes(source: str, count: int, fleet: Fleet | None) -> Iterable[Scene]:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Print a table: a row for a network, its recall in scenes of each source."""
-    from warpav.detection.onnx_detector import OnnxDetector
-    from warpav.scene.fleet import USUAL_SHARE, fleet_of
+    from warpav.detection import OnnxDetector
+    from warpav.scene import USUAL_SHARE, fleet_of
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("networks", nargs="+", type=Path, metavar="NETWORK", help="ONNX files")

@@ -108,10 +108,9 @@ def draw_zones(folder: Path) -> None:
 def draw_behind_glass(folder: Path) -> None:
     """behind_glass: what a camera behind the windscreen sees, in the embedded car, the bus and the pickup truck."""
     import warpav as wa
-    from warpav.optimisation.mount import X_M, Y_M, CameraMount
-    from warpav.rig.chart import chart_of
-    from warpav.rig.proposals import parts_of
-    from warpav.scene.own_vehicle import read_vehicle
+    from warpav.optimisation import X_M, Y_M, CameraMount
+    from warpav.rig import chart_of, parts_of
+    from warpav.scene import read_vehicle
 
     [town], images = wa.town([3]), []
     for scene in (town, town.around(read_vehicle("bus")), town.around(read_vehicle("truck"))):
@@ -174,7 +173,7 @@ def draw_weights(folder: Path) -> None:
     """weights: weights of road users by place, as the page on the configuration sets them."""
     import matplotlib.pyplot as plt
 
-    from warpav.optimisation.importance import Importance
+    from warpav.optimisation import Importance
     from warpav.runs.config import load_config
 
     table = (
@@ -204,7 +203,7 @@ def draw_weights(folder: Path) -> None:
 def draw_town_levels(folder: Path) -> None:
     """town_levels: the levels of the town, one a row: ahead, to the left, behind, and from above."""
     import warpav as wa
-    from warpav.detection.images import render_images
+    from warpav.detection import render_images
 
     rows = []
     for level, seed, height_m in (("easy", 3, 60.0), ("urban", 3, 120.0), ("dense", 1, 120.0), ("motorway", 6, 170.0)):
@@ -228,9 +227,8 @@ def draw_town_levels(folder: Path) -> None:
 def draw_traffic_vehicles(folder: Path) -> None:
     """traffic_vehicles: the same streets, the town's vehicles above, others in all places they fit below."""
     import warpav as wa
-    from warpav.detection.images import render_images
-    from warpav.scene.fleet import fleet_of
-    from warpav.scene.town.levels import level_scene
+    from warpav.detection import render_images
+    from warpav.scene import fleet_of, level_scene
     from warpav.scene.traffic.files import shipped_recordings
     from warpav.scene.traffic.moments import moment_of, moments_of
     from warpav.scene.traffic.traffic_scene import TrafficSource

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.scene.town.town import ego_vehicle
+from warpav.scene import ego_vehicle
 from warpav.scene.traffic.files import read_recording, recordings_in, shipped_recordings
 from warpav.scene.traffic.moments import REACH_M, moments_of
 from warpav.scene.traffic.recording import CLASSES

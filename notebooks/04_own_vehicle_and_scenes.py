@@ -117,7 +117,7 @@ for use in (lambda: wa.read_vehicle("van.ply"), lambda: wa.Placement(train, ego=
 # ## What is in a scene's file?
 #
 # A scene is one GLB file with the nodes `environment`, `ego` and `vehicle_<id>`. Each vehicle has its class and its
-# 3D box as extras ([the format](../warpav/scene/glb.py)). Yours may come from a simulator, from a reconstruction
+# 3D box as extras ([the format](../warpav/scene/_glb.py)). Yours may come from a simulator, from a reconstruction
 # (`warpav scenes reconstruct`) or from Blender. Read with nothing of warpav:
 
 # %%

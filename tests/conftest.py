@@ -84,7 +84,7 @@ def short_polish(request):
     with pytest.MonkeyPatch.context() as patch:
         if request.path.relative_to(Path(__file__).parent).parts[0] in SEARCHING:
             for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
-                patch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
+                patch.setattr(f"warpav.optimisation._pool_search.{name}", (3, 0.4))
         yield
 
 

@@ -8,11 +8,10 @@ import trimesh
 import warp as wp
 
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
-from warpav.detection.detector import Detections
+from warpav.detection import Detections
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.mount_surface import MountSurface
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Box, Scene, Sky, Vehicle
+from warpav.rig import MountSurface
+from warpav.scene import Box, DeviceScene, Scene, Sky, Vehicle
 
 SKY = Sky(np.array([200, 210, 220], np.uint8), np.array([90, 140, 220], np.uint8))
 EGO_TOP_M = 1.5

@@ -100,7 +100,7 @@ def test_bad_scenes_are_named():
 
 
 def test_scenes_come_from_files_in_the_order_of_their_names(tmp_path):
-    from warpav.scene.glb import write_scene
+    from warpav.scene import write_scene
 
     for seed in (1, 0):
         (scene,) = wa.town([seed])
@@ -138,7 +138,7 @@ def test_written_scenes_are_read_in_the_same_order(tmp_path):
 
 
 def test_render_gives_the_images_of_every_camera_by_name():
-    from warpav.detection.images import render_images
+    from warpav.detection import render_images
 
     (scene,) = wa.town([3])
     narrow, wide = wa.CameraModel(48, 32, 1.2), wa.CameraModel(64, 48, 2.0)
@@ -161,8 +161,8 @@ def test_render_gives_the_images_of_every_camera_by_name():
 
 
 def test_coverage_is_that_of_the_ground_around_the_vehicle():
-    from warpav.scene.device_scene import DeviceScene
-    from warpav.sight.ground import Ground
+    from warpav.scene import DeviceScene
+    from warpav.sight import Ground
 
     (scene,) = wa.town([3])
     rig = wa.Rig((wa.Camera("front", np.array([1.2, 0.0, 1.8]), 0.0, 0.0, 0.0, wa.CameraModel(64, 64, 1.6)),))

@@ -36,5 +36,5 @@ def test_help_imports_nothing_heavy():
 
 
 def test_configuration_and_rigs_import_nothing_heavy():
-    modules, _ = modules_after("import warpav, warpav.runs.config, warpav.rig.presets, warpav.rig.mount_surface")
+    modules, _ = modules_after("import warpav, warpav.runs.config, warpav.rig.presets, warpav.rig._mount_surface")
     assert modules & HEAVY == set()

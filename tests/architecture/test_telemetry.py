@@ -15,7 +15,7 @@ SESSION = """
 import os, sys
 from pathlib import Path
 
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
+from warpav.detection._onnx_detector import BUILTIN_MODEL_PATH
 import onnxruntime
 
 session = onnxruntime.InferenceSession(str(BUILTIN_MODEL_PATH), providers=["CPUExecutionProvider"])

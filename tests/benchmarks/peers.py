@@ -19,8 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.experiments.bench._items import Bench
-from warpav.experiments.bench._reference import time_embree, view_rays
+from warpav.experiments.bench._items import Bench, time_embree, view_rays
 from warpav.experiments.bench._scores import ImageScores, gradient_scores
 from warpav.experiments.bench._workload import (
     ROTATION_COUNT,

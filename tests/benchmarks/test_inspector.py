@@ -13,12 +13,11 @@ import trimesh
 
 from tests.view.stand_ins import needs_opengl
 from warpav.raster.mesh import Mesh
-from warpav.rig.rig import write_rig
+from warpav.rig import write_rig
 from warpav.runs import find_rig
+from warpav.runs._inspect import inspector
 from warpav.runs.config import load_config
-from warpav.runs.inspect import inspector
-from warpav.scene.glb import write_scene
-from warpav.scene.town.town import town_scene
+from warpav.scene import town_scene, write_scene
 from warpav.view._picture import project_px
 
 pytestmark = needs_opengl
@@ -27,7 +26,7 @@ TRIANGLES = 200_000
 SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=[0]", "device=cpu"]
 OPEN = """
 import sys
-from warpav.runs.inspect import inspector
+from warpav.runs._inspect import inspector
 from warpav.runs import config_for
 with config_for(sys.argv[1], None, sys.argv[2:], default="quick") as config:
     inspector(sys.argv[1], config, off_screen=True).plotter.show(auto_close=False, interactive=False)

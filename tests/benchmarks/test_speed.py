@@ -14,20 +14,19 @@ import warpav as wa
 from tests.optimisation.calls import select
 from tests.optimisation.objectives import OneScene, thesis_losses
 from warpav.experiments.bench._workload import embedded_workload, pack_workload
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import CameraMount, views_of_rig
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation import AssignedScene, CameraMount, CameraProbability, ZoneAndSpacing
+from warpav.optimisation._mount import views_of_rig
+from warpav.optimisation._pool import spread_mount_poses
+from warpav.optimisation._single_cameras import SingleCameras
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.rig import MountSurface, mount_surface_from_mesh
+from warpav.runs._detector_fit import ensure_fit
 from warpav.runs.config import Config
-from warpav.runs.detector_fit import ensure_fit
-from warpav.scene.device_scene import DeviceScene
-from warpav.sight.read import read_requirements
+from warpav.scene import DeviceScene
+from warpav.sight import read_requirements
 
 CAMERA = CameraModel(256, 256, math.radians(90.0))
 LENSES = {

@@ -1,8 +1,8 @@
 """A small run, and the line with which a command rejects its input."""
 
 from warpav.cli.app import main
-from warpav.optimisation.pool_run import PoolRun
-from warpav.thesis.descent import Descent
+from warpav.optimisation import PoolRun
+from warpav.thesis import Descent
 
 SMALL = [
     "run.pictures=none",

@@ -14,7 +14,7 @@ from tests.cli.small_run import SMALL, complaint
 from warpav.cli._scenes import SceneLevel
 from warpav.cli.app import main
 from warpav.runs.config import Config, described_options
-from warpav.scene.town.levels import LEVELS
+from warpav.scene import LEVELS
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -137,8 +137,7 @@ def test_a_start_with_another_number_of_cameras_is_refused(working_directory, ca
 
 
 def test_more_cameras_than_fit_are_refused(working_directory, capsys):
-    assert main(["optimise", *SMALL, "rig.cameras=8", "rig.min_spacing_m=3"]) == 2
-    message = capsys.readouterr().err.strip()
+    message = complaint(capsys, "optimise", *SMALL, "rig.cameras=8", "rig.min_spacing_m=3")
     assert message.startswith("command line (rig.cameras=8): rig.cameras: expected a number that fits on the mount")
     assert message.endswith("got 8; lower one of the two")
     assert os.listdir(working_directory) == []

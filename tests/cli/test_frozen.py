@@ -7,7 +7,7 @@ import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.rig.rig import read_rig
+from warpav.rig import read_rig
 from warpav.runs import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")

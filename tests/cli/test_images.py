@@ -16,10 +16,10 @@ from tests.cli.small_run import complaint
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig.rig import rig_text
+from warpav.rig import rig_text
 from warpav.runs import RunFolder, config_for
-from warpav.runs.inspect import inspector
-from warpav.scene.town.town import town_scene
+from warpav.runs._inspect import inspector
+from warpav.scene import town_scene
 from warpav.view import Canvas, drawing_of
 
 pytestmark = pytest.mark.usefixtures("working_directory")

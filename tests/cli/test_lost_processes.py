@@ -33,7 +33,7 @@ EXPERIMENT = ["experiment", "table2", "--arms", "sgd_ifr_doa,random_ifr_doa", "-
 RAY_AGENTS = ("ray::DashboardA", "ray::RuntimeEnv")
 """They try for a minute to tell the head that it is gone, and then end as well (62 s, seen once)."""
 COMMAND = "import sys; from warpav.cli.app import main; sys.exit(main())"
-HASTY = f"from warpav.core import executor as ray; ray.GONE_S, ray.ANSWER_S = 4.0, 60.0; {COMMAND}"
+HASTY = f"from warpav.core import executor as ray; ray.GONE_S, ray._ANSWER_S = 4.0, 60.0; {COMMAND}"
 """The command line, which takes a head for gone after 4 s instead of 20, and lets it take its time before."""
 DRAW = """
 import sys

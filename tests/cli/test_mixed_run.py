@@ -7,7 +7,7 @@ import pytest
 import warpav as wa
 from tests.cli.small_run import complaint
 from warpav.cli.app import main
-from warpav.runs.front import front
+from warpav.runs import front
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.rig.test_catalogue import ONE
 from warpav.cli.app import main
-from warpav.rig.catalogue import builtin_modules
+from warpav.rig import builtin_modules
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -10,11 +10,10 @@ import warpav as wa
 from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig.rig import Rig
-from warpav.runs import RunFolder
+from warpav.rig import Rig
+from warpav.runs import RunFolder, asked_plots
 from warpav.runs._drawn_run import COMPARED_KINDS, FITTING_KINDS, fitting
-from warpav.runs.inspect import asked_plots
-from warpav.scene.town.town import town_scene
+from warpav.scene import town_scene
 from warpav.view import Canvas, drawing_of, kinds_of
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -51,7 +50,7 @@ def test_a_preset_is_plotted(working_directory, capsys):
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_loaded(capsys, monkeypatch, argv, words):
-    monkeypatch.setattr("warpav.runs.inspect.first_scene", lambda *_a, **_k: pytest.fail("loaded"))
+    monkeypatch.setattr("warpav.runs._inspect.first_scene", lambda *_a, **_k: pytest.fail("loaded"))
     assert words in complaint(capsys, "plot", *argv)
     assert os.listdir() == []
 

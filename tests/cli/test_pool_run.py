@@ -8,11 +8,10 @@ import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.optimisation.pool_run import PoolRun
-from warpav.optimisation.selection.select import BranchAndBound
+from warpav.optimisation import PoolRun
+from warpav.optimisation.selection._select import BranchAndBound
 from warpav.runs import RunFolder
-from warpav.scene.glb import write_scene
-from warpav.scene.town.town import town_scene
+from warpav.scene import town_scene, write_scene
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -11,7 +11,7 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.runs import load_scenes
 from warpav.runs.config import load_config
-from warpav.scene.files import read_scenes
+from warpav.scene import read_scenes
 
 
 def test_scenes_of_recordings_are_written_once(tmp_path, capsys):

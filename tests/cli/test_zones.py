@@ -9,11 +9,9 @@ import pytest
 from tests.cli.small_run import complaint
 from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
-from warpav.rig.chart import chart_of
-from warpav.rig.zone import read_zones
+from warpav.rig import chart_of, read_zones
 from warpav.runs import RunFolder
-from warpav.scene.own_vehicle import write_vehicle
-from warpav.scene.town.town import ego_vehicle
+from warpav.scene import ego_vehicle, write_vehicle
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -15,10 +15,9 @@ import pytest
 
 from warpav.core import cache as module
 from warpav.core.cache import fingerprint as fingerprint_of
-from warpav.scene.capture.capture import PlanSettings
-from warpav.scene.reconstruction.settings import ReconstructionSettings
+from warpav.scene import PlanSettings, ReconstructionSettings
 
-TOWN = "warpav.scene.town.town"
+TOWN = "warpav.scene.town._town"
 fingerprint = functools.partial(fingerprint_of, code=(TOWN,))
 PLAN, MESHES = PlanSettings(), ReconstructionSettings()
 
@@ -65,13 +64,13 @@ def test_parts_do_not_run_into_one_another():
 @pytest.mark.parametrize(
     ("code", "file"),
     [
-        (TOWN, "warpav/scene/town/town.py"),
+        (TOWN, "warpav/scene/town/_town.py"),
         (TOWN, "warpav/scene/town/_houses.py"),
         (TOWN, "warpav/raster/mesh.py"),
-        ("warpav.scene.capture.town_simulator", "warpav/scene/capture/town_simulator.py"),
-        ("warpav.scene.capture.town_simulator", "warpav/scene/town/town.py"),
-        ("warpav.scene.reconstruction.reconstruct", "warpav/scene/reconstruction/surface.py"),
-        ("warpav.scene.reconstruction.reconstruct", "warpav_kernels/reconstruction/poisson.py"),
+        ("warpav.scene.capture._town_simulator", "warpav/scene/capture/_town_simulator.py"),
+        ("warpav.scene.capture._town_simulator", "warpav/scene/town/_town.py"),
+        ("warpav.scene.reconstruction._reconstruct", "warpav/scene/reconstruction/_surface.py"),
+        ("warpav.scene.reconstruction._reconstruct", "warpav_kernels/reconstruction/poisson.py"),
     ],
 )
 def test_changed_code_gives_another_fingerprint(copied_code, code, file):
@@ -88,8 +87,8 @@ def test_changed_code_gives_another_fingerprint(copied_code, code, file):
     "file",
     [
         "warpav/scene/design.md",
-        "warpav/scene/capture/folder.py",
-        "warpav/rig/rig.py",
+        "warpav/scene/capture/_folder.py",
+        "warpav/rig/_rig.py",
         "warpav/view/_picture.py",
         "warpav_kernels/raster/measure.py",
     ],
@@ -105,7 +104,7 @@ def test_what_a_town_is_not_made_with_does_not_matter(copied_code, file):
 @pytest.fixture
 def folder(tmp_path):
     """Three files of 100 bytes: one used long ago, one ten minutes ago, one now."""
-    for name, age_s in (("old", 2.0 * module.IN_USE_S), ("used", 600.0), ("new", 0.0)):
+    for name, age_s in (("old", 2.0 * module._IN_USE_S), ("used", 600.0), ("new", 0.0)):
         (tmp_path / name).write_bytes(bytes(100))
         os.utime(tmp_path / name, (time.time() - age_s,) * 2)
     return tmp_path

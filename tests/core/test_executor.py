@@ -208,7 +208,7 @@ def test_control_groups_limit_the_cores(tmp_path, groups, own, expected):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     (tmp_path / "own").write_text(own)
-    assert cores.quota_cores(tmp_path, tmp_path / "own") == expected
+    assert cores._quota_cores(tmp_path, tmp_path / "own") == expected
 
 
 def sleep_or_go(task):
@@ -255,7 +255,7 @@ class DeadlyProcesses:
 
     def outcome(self, handle):
         if self.are_killed:
-            raise workers.WorkerKilledError
+            raise workers._WorkerKilledError
         return workers.outcome_of(self.function, handle)
 
     def close(self, handles):
@@ -340,7 +340,7 @@ def test_a_ray_address_where_nobody_listens_is_refused_at_once(scheme, no_ray_he
 
 @needs_ray
 def test_a_host_that_listens_but_does_not_answer_is_refused_in_seconds(no_ray_here, monkeypatch):
-    monkeypatch.setattr("warpav.core.executor.ANSWER_S", 3.0)
+    monkeypatch.setattr("warpav.core.executor._ANSWER_S", 3.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         began = time.perf_counter()

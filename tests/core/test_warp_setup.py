@@ -10,8 +10,8 @@ from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
 
 PACK = """
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.town.town import town_scene
+from warpav.scene._device_scene import DeviceScene
+from warpav.scene.town._town import town_scene
 DeviceScene.pack(town_scene(3))
 """
 

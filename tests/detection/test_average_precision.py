@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.detection.average_precision import (
+from warpav.detection import (
     COCO_AREA_PX2,
     COCO_IOU,
     ImageBoxes,

@@ -7,12 +7,13 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import packed_street, roof
-from warpav.detection.camera_mixture import _WINDOWS_PX, Window, mixed_camera, window_model, windows_of
-from warpav.detection.families.family import ImagePlacement, Letterbox
+from warpav.detection import Window, mixed_camera, windows_of
+from warpav.detection._camera_mixture import _WINDOWS_PX, window_model
+from warpav.detection.families._family import ImagePlacement, Letterbox
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import RigCamera
+from warpav.rig import RigCamera
 
 
 class Network:

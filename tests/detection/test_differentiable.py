@@ -13,18 +13,15 @@ from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import clipped_edges
 from tests.raster.test_gradients import YAW, X, Y, moved
 from warpav.core.errors import InputError
-from warpav.detection.detector import ROAD_USERS
-from warpav.detection.differentiable import MAX_ERROR, DifferentiableDetector, TorchNetwork
-from warpav.detection.matching import largest_component_box
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, SceneOnTape
-from warpav.optimisation.mount import CameraMount, PlacedViews
+from warpav.detection import BUILTIN_MODEL_PATH, ROAD_USERS, DifferentiableDetector, OnnxDetector
+from warpav.detection._differentiable import MAX_ERROR, TorchNetwork
+from warpav.detection._matching import largest_component_box
+from warpav.optimisation import AssignedScene, CameraMount, PlacedViews, SceneOnTape
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.town.town import town_scene
-from warpav.thesis.detector_gradient import DetectorGradient
+from warpav.scene import DeviceScene, town_scene
+from warpav.thesis import DetectorGradient
 
 SIZE_PX = 256
 MODEL = CameraModel(SIZE_PX, SIZE_PX, math.radians(90.0), 0.1)

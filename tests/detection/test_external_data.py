@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
+from warpav.detection import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection._external_data import check_external_data
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 
 onnx = pytest.importorskip("onnx")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402

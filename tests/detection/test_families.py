@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.detection import OnnxDetector
 from warpav.detection.families import FAMILIES
-from warpav.detection.families.family import COCO_80, COCO_91, ImagePlacement, Letterbox
-from warpav.detection.onnx_detector import OnnxDetector
+from warpav.detection.families._family import COCO_80, COCO_91, ImagePlacement, Letterbox
 from warpav.runs.config import DetectorConfig
 
 pytest.importorskip("onnx")

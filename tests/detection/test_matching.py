@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.detection.matching import (
+from warpav.detection._matching import (
     covered_fraction,
     iou_matrix,
     largest_component_box,

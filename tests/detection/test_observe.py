@@ -9,8 +9,7 @@ from scipy import ndimage
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, street
 from tests.oracle.ray_cast import cast_scene
-from warpav.detection.detector import Detections
-from warpav.detection.observe import DetectorInLoop, RenderedImage, observe
+from warpav.detection import Detections, DetectorInLoop, RenderedImage, observe
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer

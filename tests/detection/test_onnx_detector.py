@@ -15,8 +15,9 @@ import warp as wp
 from tests.detection.tiny_networks import write_network
 from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.core.errors import InputError
-from warpav.detection.observe import detections_in, network_input_of
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector, suppress
+from warpav.detection import BUILTIN_MODEL_PATH, OnnxDetector
+from warpav.detection._observe import detections_in, network_input_of
+from warpav.detection._onnx_detector import suppress
 from warpav.detection.training import CLASS_NAMES
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer

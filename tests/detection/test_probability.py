@@ -16,21 +16,13 @@ from scipy.special import expit
 
 from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.core.errors import InputError
-from warpav.detection import probability as module
-from warpav.detection.probability import (
-    FEATURE_COUNT,
-    FEATURES,
-    Appearance,
-    DetectionProbability,
-    DetectorUse,
-    spline_basis,
-    stored_file,
-    whole_solid_angle,
-)
+from warpav.detection import FEATURES, Appearance, DetectionProbability, DetectorUse, stored_file, whole_solid_angle
+from warpav.detection import _probability as module
+from warpav.detection._probability import FEATURE_COUNT, spline_basis
 from warpav.raster.areas import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import UprightBoxes
+from warpav.scene import UprightBoxes
 
 KNOTS = 7
 MODEL = CameraModel(256, 256, math.radians(80.0))

@@ -10,9 +10,17 @@ from scipy.special import expit
 from scipy.stats import binomtest
 
 from tests.driving_scene import ALL_CARS, ConstantDetector, on_device, packed_street, roof
-from warpav.detection.observe import observe
-from warpav.detection.probability import CONTRAST, FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE, VISIBLE_SIZE
-from warpav.detection.probability_fit import DetectionSamples, fit_probability, random_cameras, sample_detections, score
+from warpav.detection import (
+    CONTRAST,
+    VISIBLE_SIZE,
+    DetectionSamples,
+    fit_probability,
+    observe,
+    random_cameras,
+    sample_detections,
+    score,
+)
+from warpav.detection._probability import FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
 

@@ -10,23 +10,15 @@ import torch
 
 from tests.driving_scene import roof, street
 from warpav.core.errors import InputError
-from warpav.detection.detector import ROAD_USERS, Detections
-from warpav.detection.onnx_detector import OnnxDetector
-from warpav.detection.training import CLASS_NAMES, TrainingOptions, data
-from warpav.detection.training import train as train_module
-from warpav.detection.training._loss import (
-    TargetBoxes,
-    _move,
-    _warp,
-    assign_cells,
-    detection_loss,
-    pairwise_iou,
-)
+from warpav.detection import ROAD_USERS, Detections, OnnxDetector, TrainingOptions, evaluate, train_detector
+from warpav.detection.training import CLASS_NAMES
+from warpav.detection.training import _data as data
+from warpav.detection.training import _train as train_module
+from warpav.detection.training._loss import TargetBoxes, _move, _warp, assign_cells, detection_loss, pairwise_iou
 from warpav.detection.training._network import TownNetwork, export_network
-from warpav.detection.training.evaluate import evaluate
-from warpav.detection.training.train import DeviceData, Training, train_detector
+from warpav.detection.training._train import DeviceData, Training
 from warpav.raster.camera import Lens
-from warpav.runs.detector_training import tables
+from warpav.runs._detector_training import tables
 
 SIDE_PX = 64
 

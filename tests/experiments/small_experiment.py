@@ -3,11 +3,10 @@
 import functools
 
 from tests.driving_scene import street
-from warpav.cli.app import main
 from warpav.experiments._arms import Arm
-from warpav.experiments.study import Study, _loss_overrides
+from warpav.experiments._study import Study, _loss_overrides
 from warpav.runs.config import load_config
-from warpav.scene.glb import write_scene
+from warpav.scene import write_scene
 
 OPTIONS = (
     "scenes.source=folder",
@@ -44,11 +43,3 @@ def overrides(folder, *more):
 def config(folder, *more):
     """The configuration for scenes in a folder."""
     return load_config("thesis", overrides(folder, *more))
-
-
-def complaint(capsys, *words):
-    """The one line that a command ends with that has been given something wrong."""
-    assert main(list(words)) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    return lines[0]

@@ -11,16 +11,12 @@ from tests.experiments.small_experiment import config
 from warpav.core.errors import InputError
 from warpav.experiments import _arms as module
 from warpav.experiments._arms import METHODS, Arm, _common_arms, find_arm, find_rig_of
-from warpav.optimisation.budget import BudgetedValue
-from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.settings import LOSSES
-from warpav.optimisation.single_cameras import SingleCameras
-from warpav.optimisation.space import SearchSpace
-from warpav.rig.rig import write_rig
-from warpav.runs import RunDisplay
+from warpav.optimisation import LOSSES, BudgetedValue, RigObjective, SearchSpace
+from warpav.optimisation._single_cameras import SingleCameras
+from warpav.rig import write_rig
+from warpav.runs import Placement, RunDisplay
 from warpav.runs.config import load_config, option_values
-from warpav.runs.placement import Placement
-from warpav.thesis.descent import descent_camera_renders
+from warpav.thesis import descent_camera_renders
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
 BUDGET = 72

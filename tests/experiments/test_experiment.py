@@ -9,13 +9,11 @@ import pytest
 from tests.experiments.small_experiment import ARMS, SMALL, config
 from warpav.core.errors import InputError
 from warpav.experiments import _arms as arms_module
-from warpav.experiments import experiment as module
+from warpav.experiments import _experiment as module
+from warpav.experiments import run_study
 from warpav.experiments._arms import Arm, Method
-from warpav.experiments.experiment import run_study
-from warpav.rig.rig import read_rig
-from warpav.runs import RunDisplay, git_commit
-from warpav.runs.optimise import Optimisation
-from warpav.runs.placement import Placement
+from warpav.rig import read_rig
+from warpav.runs import Optimisation, Placement, RunDisplay, git_commit
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,10 @@ import pytest
 from tests.driving_scene import SilentDetector, packed_street, roof
 from tests.optimisation.objectives import rig_objective
 from warpav.experiments._gradient_magnitude import LOSS_OF, measure_gradient_magnitudes
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.settings import LOSSES, LossSettings, OptimiserSettings
+from warpav.optimisation import LOSSES, AssignedScene, CameraMount, LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
-from warpav.thesis.tables import TABLES, thesis_table
+from warpav.thesis import thesis_table
+from warpav.thesis._tables import TABLES
 
 YAW_RAD = np.array([0.1, 1.5, 3.2])
 SETTINGS = OptimiserSettings(learning_rate_position_m=0.25, learning_rate_yaw_deg=math.degrees(0.25), weight_decay=1e-3)

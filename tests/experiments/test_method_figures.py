@@ -5,17 +5,15 @@ import re
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.experiments import small_experiment
 from tests.optimisation.objectives import evaluate_rig
-from tests.view.stand_ins import rig
+from tests.view.stand_ins import pixels, rig
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.experiments.method_figures import draw_method_figure
-from warpav.rig.rig import Rig
-from warpav.runs import RunDisplay, RunFolder, find_rig, load_scenes
-from warpav.runs.placement import Placement
+from warpav.experiments import draw_method_figure
+from warpav.rig import Rig
+from warpav.runs import Placement, RunDisplay, RunFolder, find_rig, load_scenes
 from warpav.view._palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
 from warpav.view.figures import _rigs as rigs
 from warpav.view.figures._rigs import covered_rad
@@ -58,18 +56,13 @@ def draw(number, path, config, run=None):
         return draw_method_figure(number, path, config, run=run, progress=display)
 
 
-def pixels(path):
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB")).astype(float)
-
-
 def count(image, rgb, tolerance=12.0):
     return int((np.linalg.norm(image - np.asarray(rgb, float), axis=-1) < tolerance).sum())
 
 
 def lines(axis, colour_index):
     """x and y of the lines in a camera's colour, those of more than one point."""
-    from warpav.view import hex_colour
+    from warpav.view._palette import hex_colour
 
     colour = hex_colour(camera_rgb(colour_index))
     return [line.get_xydata() for line in axis.lines if line.get_color() == colour and len(line.get_xydata()) > 1]
@@ -180,28 +173,6 @@ def test_covered_angle_is_that_of_the_union(fov_deg, turn_deg, expected_deg):
 
 
 # -------------------------------------------------------------------------------------------------- the command line
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["10", "--out", "10.jpg"], r"10.jpg: --out: expected a name that ends in .png, got '.jpg'"),
-        (["11", "--out", "11.png", "--run", "nowhere"], "nowhere: run folder: expected an existing folder"),
-        (["12", "--out", "12.png", "--seed", "1"], "figure 12: expected --run, --config or key=value, got --seed"),
-        (["12", "--out", "12.png", "--config", "quik"], "did you mean quick?"),
-        (["12", "--out", "12.png", "rig.cameras=none"], "rig.cameras"),
-        (["4", "--out", "4.png", "rig.cameras=6"], "figure 4: expected no --run, --config or key=value"),
-        (["13", "--out", "13.png"], "figure: expected one of 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 15, 16, got 13"),
-    ],
-)
-def test_wrong_words_are_told_in_one_line(tmp_path, monkeypatch, capsys, words, message):
-    monkeypatch.chdir(tmp_path)
-    assert main(["scenes", "figure", *words]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert message in captured.err
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_highest_rig_takes_no_run(run, tmp_path, capsys):

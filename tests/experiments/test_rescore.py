@@ -5,11 +5,12 @@ import shutil
 
 import pytest
 
-from tests.experiments.small_experiment import complaint, overrides
+from tests.cli.small_run import complaint
+from tests.experiments.small_experiment import overrides
 from warpav.cli.app import main
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
-from warpav.experiments import rescore
-from warpav.experiments.rows import read_rows
+from warpav.detection import BUILTIN_MODEL_PATH
+from warpav.experiments import _rescore as rescore
+from warpav.experiments import read_rows
 
 PLAIN = (
     *("losses.probability=visible_share", "optimiser.pool_cameras=16", "optimiser.selection_time_s=2"),

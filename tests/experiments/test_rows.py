@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.experiments.rows import MARK, filled_page, read_rows, rows_of, table_of, write_rows
-from warpav.optimisation.evaluation.statistics import paired_difference
+from warpav.experiments import filled_page, read_rows, write_rows
+from warpav.experiments._rows import MARK, rows_of, table_of
+from warpav.optimisation import paired_difference
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "docs" / "results.csv"

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from warpav.experiments.scene_statistics import _visible_shares_of, scene_statistics
+from warpav.experiments import scene_statistics
+from warpav.experiments._scene_statistics import _visible_shares_of
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import Box, Scene, Vehicle
-from warpav.scene.town.levels import level_scene
-from warpav.scene.town.town import ego_vehicle
+from warpav.scene import Box, Scene, Vehicle, ego_vehicle, level_scene
 
 
 def box_at(number, x_m, y_m, size_m, category="car", velocity=None):

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiments.small_experiment import complaint
+from tests.cli.small_run import complaint
 from warpav.core.errors import InputError
-from warpav.experiments import study as module
-from warpav.experiments.study import _loss_overrides, _thesis_rows, find_study
+from warpav.experiments import _study as module
+from warpav.experiments import find_study
+from warpav.experiments._study import _loss_overrides, _thesis_rows
 from warpav.runs.config import load_config
 
 STUDIES = [file.stem for file in sorted((Path(module.__file__).parent / "studies").glob("*.yaml"))]

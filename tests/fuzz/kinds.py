@@ -23,25 +23,30 @@ from tests.scene.traffic.test_files import scenario, write_log
 from tests.scene.traffic.test_formats import write_forecast, write_nuscenes, write_waymo
 from warpav.core.bounded_files import read_text
 from warpav.core.records import read_form
-from warpav.detection.onnx_detector import OnnxDetector
+from warpav.detection import OnnxDetector
 from warpav.experiments.bench._workload import read_truth, read_workload
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.rig.catalogue import read_modules
-from warpav.rig.formats.convert import ImportOptions, export_rig, import_rig_with_notes
-from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
-from warpav.rig.zone import read_zones
+from warpav.rig import (
+    ImportOptions,
+    Rig,
+    RigCamera,
+    export_rig,
+    import_rig_with_notes,
+    read_modules,
+    read_rig,
+    read_zones,
+    write_rig,
+)
 from warpav.runs import RunFolder
 from warpav.runs._networks import _description
 from warpav.runs.config import load_config
 from warpav.runs.report._content import read_content
-from warpav.scene.capture.folder import read_capture, record_capture
-from warpav.scene.fleet import _Stated
-from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.own_vehicle import examine, read_vehicle_file
-from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.scene import Box, Scene, Vehicle, examine, read_capture, read_scene, read_vehicle_file, write_scene
+from warpav.scene._fleet import _Stated
+from warpav.scene.capture._folder import record_capture
 from warpav.scene.traffic.files import read_recording, recordings_in
-from warpav.sight.read import read_requirements
+from warpav.sight import read_requirements
 
 ZONES = """
 zones:

@@ -12,8 +12,7 @@ from tests.architecture.kernel_style import read_modules
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel
 from warpav_kernels.detection import detection_probability
-from warpav_kernels.experiments import benchmark
-from warpav_kernels.placement import constraint_losses, expected_misses, lagrangian, mount_pose
+from warpav_kernels.placement import benchmark, constraint_losses, expected_misses, lagrangian, mount_pose
 from warpav_kernels.raster import _measure as measure
 from warpav_kernels.raster import linearise
 from warpav_kernels.thesis import losses as thesis

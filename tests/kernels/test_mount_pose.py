@@ -9,7 +9,7 @@ import warp as wp
 from tests.driving_scene import roof
 from tests.oracle import thesis
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
-from warpav.optimisation.mount import CameraMount
+from warpav.optimisation import CameraMount
 from warpav.raster.camera import CameraModel, rotational_additions
 
 MODEL = CameraModel(64, 64, math.pi / 2)

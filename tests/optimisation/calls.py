@@ -1,12 +1,11 @@
 """Searches, polishes and selections by keyword, for tests that vary one thing at a time."""
 
+from warpav.optimisation import CameraPool, Drawing, PolishSteps, PolishTask, PoolTask
+from warpav.optimisation import polish as polished
 from warpav.optimisation._camera_loss import select_robust as robust
-from warpav.optimisation.polish import PolishSteps, PolishTask
-from warpav.optimisation.polish import polish as polished
-from warpav.optimisation.pool import CameraPool, Drawing
-from warpav.optimisation.pool_search import PoolSearch, PoolTask
+from warpav.optimisation._pool_search import PoolSearch
 from warpav.optimisation.selection._problem import SelectionProblem
-from warpav.optimisation.selection.select import select as selected
+from warpav.optimisation.selection._select import select as selected
 
 
 def draw(mount_pose, *, executor=None, cache=None, chunk_cameras=512, **options):

@@ -14,19 +14,23 @@ import trimesh
 
 from tests.driving_scene import SilentDetector
 from tests.optimisation.objectives import rig_objective
-from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.budget import BudgetedValue
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.settings import LossSettings
-from warpav.optimisation.space import SearchSpace
+from warpav.detection import DetectionProbability
+from warpav.optimisation import (
+    X_M,
+    Y_M,
+    YAW_RAD,
+    AssignedScene,
+    BudgetedValue,
+    CameraMount,
+    LossSettings,
+    SearchSpace,
+    ZoneAndSpacing,
+)
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.mount_surface import MountSurface
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Box, Scene, Sky, Vehicle
+from warpav.rig import MountSurface
+from warpav.scene import Box, DeviceScene, Scene, Sky, Vehicle
 
 PAINT = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8)
 GREY = (120, 120, 120)

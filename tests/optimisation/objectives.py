@@ -6,16 +6,25 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.detection.detector import Detector
+from warpav.detection import Detector
+from warpav.optimisation import (
+    METHOD_LOSSES,
+    AssignedScene,
+    CameraMount,
+    CameraProbability,
+    LossOptions,
+    LossSchedule,
+    LossSettings,
+    ObjectiveOptions,
+    Reference,
+    RigObjective,
+    losses_of,
+    metrics_of,
+    observe_scenes,
+)
 from warpav.optimisation._scene_step import Exchange, Objective, RigViews, SceneStep
-from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
-from warpav.optimisation.losses.loss import LossOptions, LossSchedule, Reference, losses_of
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.settings import METHOD_LOSSES, LossSettings
 from warpav.raster.renderer import Renderer
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis import BoundsAndSpacing
 
 
 def thesis_losses(**changes: Any) -> LossSettings:
@@ -38,10 +47,13 @@ def rig_objective(
     return RigObjective(
         mount,
         detector,
-        losses=losses_of(LossOptions(settings, reference, differentiable_detector)),
         camera_probability=CameraProbability.of(settings, probability),
         options=ObjectiveOptions(**options),
-        **{"constraints": BoundsAndSpacing(mount.surface), **others},
+        **{
+            "losses": losses_of(LossOptions(settings, reference, differentiable_detector)),
+            "constraints": BoundsAndSpacing(mount.surface),
+            **others,
+        },
     )
 
 

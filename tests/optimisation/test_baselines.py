@@ -9,9 +9,8 @@ import pytest
 from tests.driving_scene import flat_surface, roof
 from tests.thesis.test_descent import MODEL
 from warpav.core.errors import InputError
-from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, random_mount_pose
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.optimisation import X_M, Y_M, YAW_RAD, CameraMount, edge_mount_pose, highest_mount_pose, random_mount_pose
+from warpav.thesis import BoundsAndSpacing
 
 
 def mount_on(surface):

@@ -12,22 +12,26 @@ import warpav as wa
 from tests.driving_scene import SilentDetector, packed_street, street
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
+from warpav.optimisation import (
+    HEIGHT_DELTA_M,
+    PITCH_RAD,
+    X_M,
+    Y_M,
+    YAW_RAD,
+    CameraMount,
+    ObjectiveOptions,
+    RequiredPoints,
+    RigObserver,
+    ZoneAndSpacing,
+)
 from warpav.optimisation._camera_jacobians import placing_slope
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.evaluation.metrics import RigObserver
-from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import ObjectiveOptions
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.required_points import RequiredPoints
+from warpav.optimisation._pool import spread_mount_poses
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.chart import chart_of
-from warpav.rig.rig import Rig, RigCamera
-from warpav.rig.zone import NORMALS, Zone
-from warpav.scene.device_scene import DeviceScene
-from warpav.sight.around import body_shares
-from warpav.sight.read import read_requirements
+from warpav.rig import NORMALS, Rig, RigCamera, Zone, chart_of
+from warpav.scene import DeviceScene
+from warpav.sight import body_shares, read_requirements
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.01)
 PITCH = (-0.1, 0.3)
@@ -229,7 +233,7 @@ def test_a_rig_file_says_what_its_cameras_look_through(tmp_path):
 
 def test_pairs_look_through_the_pane_on_either_side():
     """A pair detects what its two cameras do, each rendered by itself on a mount that knows no pairs."""
-    from warpav.rig.module import Housing, Module, Price
+    from warpav.rig import Housing, Module, Price
 
     module = Module(
         name="eye",

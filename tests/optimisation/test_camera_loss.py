@@ -14,13 +14,10 @@ from tests.optimisation.test_polish import polished, zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
 from warpav.core.errors import InputError
+from warpav.optimisation import RigLimits, ZoneAndSpacing, highest_mount_pose, rows_of
 from warpav.optimisation._camera_loss import RobustObjective
+from warpav.optimisation._mount import MIRROR
 from warpav.optimisation._replacements import Replacements
-from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.mount import MIRROR
-from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.selection._problem import Row
 
 MEAN, WORST = RobustObjective("mean", 0.5), RobustObjective("worst", 0.4)

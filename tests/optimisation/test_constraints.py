@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
 from warpav.core.errors import InputError
-from warpav.optimisation.constraints import ZoneAndSpacing, min_camera_distance_m
-from warpav.optimisation.mount import CameraMount, FrozenCameras
+from warpav.optimisation import CameraMount, FrozenCameras, ZoneAndSpacing, min_camera_distance_m
 from warpav.raster.camera import CameraModel
-from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.town.town import ego_vehicle
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.rig import MountSurface, Rig, RigCamera, mount_surface_from_mesh
+from warpav.scene import ego_vehicle
+from warpav.thesis import BoundsAndSpacing
 
 SURFACE = flat_surface([-1.0, -0.6], [1.4, 0.6])
 coordinate = st.floats(-3.0, 3.0, allow_nan=False)

@@ -12,18 +12,24 @@ from tests.driving_scene import ConstantDetector, flat_surface, roof
 from tests.optimisation.known_optimum import _block, _body, _scene, _vehicle
 from tests.optimisation.objectives import rig_objective
 from tests.thesis.test_descent import START, Slope, street_scenes
-from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, CameraMount, FreeRanges
-from warpav.optimisation.settings import LossSettings, OptimiserSettings
-from warpav.optimisation.space import SearchSpace
+from warpav.detection import DetectionProbability
+from warpav.optimisation import (
+    HEIGHT_DELTA_M,
+    LOG_ZOOM,
+    PITCH_RAD,
+    AssignedScene,
+    CameraMount,
+    FreeRanges,
+    LossSettings,
+    OptimiserSettings,
+    SearchSpace,
+)
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
-from warpav.rig.rig import Rig
-from warpav.scene.device_scene import DeviceScene
-from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.descent import Descent
+from warpav.rig import Rig
+from warpav.scene import DeviceScene
+from warpav.thesis import BoundsAndSpacing, Descent
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 FOLDS = (-0.3, 0.0, 0.0, 0.0)

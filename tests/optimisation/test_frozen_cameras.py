@@ -10,16 +10,24 @@ from hypothesis import strategies as st
 from tests.driving_scene import roof
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.thesis.test_descent import WholeImageDetector, changed, street_scenes
-from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.settings import LossSettings
-from warpav.optimisation.space import SearchSpace
+from warpav.detection import DetectionProbability
+from warpav.optimisation import (
+    HEIGHT_DELTA_M,
+    LOG_ZOOM,
+    X_M,
+    Y_M,
+    YAW_RAD,
+    CameraMount,
+    FreeRanges,
+    LossSchedule,
+    LossSettings,
+    SearchSpace,
+    ZoneAndSpacing,
+)
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
-from warpav.thesis.descent import Descent
+from warpav.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.thesis import Descent
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 WIDE = CameraModel(64, 64, math.radians(120.0))

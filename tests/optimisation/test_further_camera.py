@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from tests.optimisation.calls import draw
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
-from warpav.detection.miss_rate import expected_miss_rate, further_gain, missed_probability
-from warpav.optimisation.further_camera import FurtherCameras, further_cameras
-from warpav.optimisation.mount import PITCH_RAD, YAW_RAD
+from warpav.detection import expected_miss_rate, further_gain, missed_probability
+from warpav.optimisation import PITCH_RAD, YAW_RAD, FurtherCameras
+from warpav.optimisation._further_camera import further_cameras
 
 
 def cameras_at(position_m, gain):

@@ -12,12 +12,11 @@ from tests.optimisation.test_modules import MODULES, columns, symmetric_cameras,
 from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_zones import MODEL, chart, constraints_of, mount_of, spread
 from warpav.core.errors import InputError
-from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.required_points import _HARD_WEIGHT, MET, RequiredPoints
-from warpav.sight.check import check_requirements
-from warpav.sight.read import read_requirements
-from warpav.sight.requirement import Band, Requirement
+from warpav.optimisation import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, PoolSearchSettings, RequiredPoints
+from warpav.optimisation._mount import ROLL_RAD
+from warpav.optimisation._required_points import _HARD_WEIGHT, MET
+from warpav.sight import Requirement, check_requirements, read_requirements
+from warpav.sight._requirement import Band
 
 SMALL = PoolSearchSettings(pool_cameras=40, rounds=1, priced_cameras=3, gap=0.0)
 

@@ -10,16 +10,26 @@ from tests.driving_scene import flat_surface
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.core.progress import NullProgress
-from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation import hand_rigs
-from warpav.optimisation.hand_rigs import by_hand, directions_rad, mount_pose_by_hand
-from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.pool import Drawing
-from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
+from warpav.detection import expected_miss_rate
+from warpav.optimisation import (
+    PITCH_RAD,
+    X_M,
+    Y_M,
+    YAW_RAD,
+    CameraMount,
+    Drawing,
+    FreeRanges,
+    PoolSearchSettings,
+    PoolTask,
+    by_hand,
+    mount_pose_by_hand,
+)
+from warpav.optimisation import _hand_rigs as hand_rigs
+from warpav.optimisation._hand_rigs import directions_rad
+from warpav.optimisation._pool_search import PoolSearch
 from warpav.raster.camera import CameraModel
+from warpav.runs import Optimisation, Placement
 from warpav.runs.config import load_config
-from warpav.runs.optimise import Optimisation
-from warpav.runs.placement import Placement
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
 

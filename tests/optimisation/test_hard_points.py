@@ -10,10 +10,11 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, poses_of
 from tests.optimisation.test_pool import mount_of as roof_mount
 from tests.optimisation.test_zones import MODEL, mount_of, spread
+from warpav.optimisation import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, RequiredPoints
+from warpav.optimisation._mount import ROLL_RAD
+from warpav.optimisation._required_points import _NEAR_EDGE
+from warpav.optimisation._single_cameras import _camera_margins, hard_points
 from warpav.optimisation._tangent_model import KEPT_BACK, HardPoints
-from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.required_points import _NEAR_EDGE, RequiredPoints
-from warpav.optimisation.single_cameras import _camera_margins, hard_points
 
 
 def test_margins_reach_one_where_points_are_met():

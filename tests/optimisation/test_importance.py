@@ -7,25 +7,24 @@ import math
 import numpy as np
 import pytest
 
-from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.calls import draw, pool_search, select
-from tests.optimisation.test_missed import MODEL, POSE, probabilities, probability_model
+from tests.optimisation.test_missed import POSE, objective_of, probabilities, probability_model, scenes_of
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.core.errors import InputError
-from warpav.optimisation.budget import rig_values_of
-from warpav.optimisation.importance import Importance, check_categories
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.settings import ImportanceSettings
-from warpav.raster.decide import Occlusion
+from warpav.optimisation import (
+    X_M,
+    YAW_RAD,
+    Importance,
+    ImportanceSettings,
+    PoolSearchSettings,
+    check_categories,
+    rig_values_of,
+)
+from warpav.optimisation._pool import spread_mount_poses
 from warpav.runs.config import Config, dump_config, load_config, option_values
-from warpav.thesis.constraints import BoundsAndSpacing
 
+COUNTS = (10, 0, 4)
 SETTINGS = ImportanceSettings(
     category={"hatchback": 0.5},
     distance_m={0: 2.0, 10: 1.0, 15: 0.25},
@@ -43,31 +42,11 @@ def weights_by_hand(scene):
     return np.array(found)
 
 
-def objective_of(importance, *losses, device="cpu", supersampling=1):
-    return RigObjective(
-        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device),
-        ConstantDetector.silent(2),
-        camera_count=2,
-        losses=losses or [(1.0, ExpectedMissRate())],
-        camera_probability=CameraProbability(probability_model(np.random.default_rng(3))),
-        constraints=BoundsAndSpacing(roof()),
-        options=ObjectiveOptions(occlusion=Occlusion.EXACT, supersampling=supersampling),
-        importance=importance,
-    )
-
-
-def scenes_of(device="cpu"):
-    return [
-        AssignedScene(packed_street(device, count, seed), np.full(count, -1, np.int32))
-        for seed, count in enumerate((10, 0, 4))
-    ]
-
-
 # --- the weights -----------------------------------------------------------------------------------------------------
 
 
 def test_a_weight_is_the_product_of_factors_from_the_origin_of_the_ego_frame():
-    for assigned in scenes_of():
+    for assigned in scenes_of("cpu", *COUNTS):
         by_hand = weights_by_hand(assigned.scene)
         np.testing.assert_array_equal(Importance(SETTINGS).weights(assigned.scene), by_hand)
     scene = scenes_of()[0].scene
@@ -106,7 +85,9 @@ def test_the_time_to_collision_counts_where_it_is_known_and_comes():
     found = importance.weights_at(category, kind, place_m, time_s)
     np.testing.assert_array_equal(found, [30.0, 3.0, 2.0, 2.0, 0.5, 0.5, 1.0, 1.0])
     np.testing.assert_array_equal(importance.weights_at(category, kind, place_m), [10.0] + [1.0] * 7)
-    scene = dataclasses.replace(scenes_of()[2].scene, time_to_collision_s=np.array([1.0, 3.0, math.nan, 5.0]))
+    scene = dataclasses.replace(
+        scenes_of("cpu", *COUNTS)[2].scene, time_to_collision_s=np.array([1.0, 3.0, math.nan, 5.0])
+    )
     np.testing.assert_array_equal(importance.weights(scene), [3.0, 2.0, 1.0, 0.5])
     # a scene that tells no velocity has equal weights
     np.testing.assert_array_equal(importance.weights(scenes_of()[0].scene), np.ones(10))
@@ -117,7 +98,7 @@ def test_the_time_to_collision_counts_where_it_is_known_and_comes():
 
 def test_the_objective_is_the_weighted_mean_of_products(device):
     model = probability_model(np.random.default_rng(3))
-    objective, scenes = objective_of(Importance(SETTINGS), device=device), scenes_of(device)
+    objective, scenes = objective_of(device, others={"importance": Importance(SETTINGS)}), scenes_of(device, *COUNTS)
     pose = POSE.copy()
     pose[1, YAW_RAD] = 0.7
     seen = [scenes[0], scenes[2]]
@@ -130,9 +111,9 @@ def test_the_objective_is_the_weighted_mean_of_products(device):
     assert abs(expected - np.prod(1.0 - p, axis=0).mean()) > 0.02
     # only ratios count, also where the sum is below 1
     tiny = SETTINGS.model_copy(update={"category": {"hatchback": 0.5e-3}})
-    assert objective_of(Importance(tiny), device=device).evaluate(pose, scenes).objective == pytest.approx(
-        expected, rel=1e-5
-    )
+    assert objective_of(device, others={"importance": Importance(tiny)}).evaluate(
+        pose, scenes
+    ).objective == pytest.approx(expected, rel=1e-5)
     [values] = rig_values_of(objective, scenes)(pose[None])
     assert values == pytest.approx(expected, rel=1e-5)
     # of one scene, as metrics have it
@@ -145,8 +126,10 @@ def test_the_weighted_gradient_matches_differences(device):
     rng = np.random.default_rng(0)
     importance = Importance(ImportanceSettings(distance_m={0: 4.0, 10: 1.0, 15: 0.1}))
     ours, unweighted, truth = np.zeros((3, 2, 2))
-    weighted, plain = (objective_of(each, device=device, supersampling=4) for each in (importance, None))
-    scenes, numbers = scenes_of(device)[:1], ((X_M, 0.03), (YAW_RAD, 0.006))
+    weighted, plain = (
+        objective_of(device, supersampling=4, others={"importance": each}) for each in (importance, None)
+    )
+    scenes, numbers = scenes_of(device), ((X_M, 0.03), (YAW_RAD, 0.006))
     spread = np.array([0.05, 0.05, 0.02, 0.01, 0.0, 0.0, 0.0])
     for _ in range(8):
         at = (POSE + rng.uniform(-1.0, 1.0, POSE.shape) * spread).astype(np.float32)

@@ -9,14 +9,16 @@ import pytest
 
 from tests.optimisation.calls import pool_search
 from tests.optimisation.known_optimum import behind_a_wall, bump, square
-from warpav.optimisation.budget import SingleCameraValues, run_search
-from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.rivals import cma_es
-from warpav.optimisation.settings import OptimiserSettings
-from warpav.optimisation.space import SearchSpace
-from warpav.thesis.descent import Descent
-from warpav.thesis.starts import evaluate_starts
+from warpav.optimisation import (
+    OptimiserSettings,
+    PoolSearchSettings,
+    SearchSpace,
+    SingleCameraValues,
+    cma_es,
+    run_search,
+    single_cameras_of,
+)
+from warpav.thesis import Descent, evaluate_starts
 
 WORLDS = [behind_a_wall, bump, square]
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="no cma")

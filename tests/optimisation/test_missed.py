@@ -7,18 +7,19 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, on_device, packed_street, roof
 from tests.optimisation.objectives import rig_objective
-from warpav.detection.probability import (
-    CONTRAST,
-    FEATURE_COUNT,
-    IN_FRAME_SHARE,
-    VISIBLE_SHARE,
-    Appearance,
-    DetectionProbability,
+from warpav.detection import CONTRAST, Appearance, DetectionProbability
+from warpav.detection._probability import FEATURE_COUNT, IN_FRAME_SHARE, VISIBLE_SHARE
+from warpav.optimisation import (
+    HEIGHT_DELTA_M,
+    LOG_ZOOM,
+    PITCH_RAD,
+    YAW_RAD,
+    AssignedScene,
+    CameraMount,
+    FreeRanges,
+    LossSchedule,
+    LossSettings,
 )
-from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount, FreeRanges
-from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -48,7 +49,9 @@ def probability_model(rng):
     return DetectionProbability(start, step, coefficient, -0.5)
 
 
-def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, **settings):
+def objective_of(
+    device="cpu", *, model=None, detector=None, supersampling=1, cameras=2, free=None, others=(), **settings
+):
     scales = {"expected_miss_rate": 1.0, **settings}
     return rig_objective(
         CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device, free=free),
@@ -58,6 +61,7 @@ def objective_of(device="cpu", *, model=None, detector=None, supersampling=1, ca
         occlusion=Occlusion.EXACT,
         supersampling=supersampling,
         probability=model or probability_model(np.random.default_rng(3)),
+        **dict(others),
     )
 
 

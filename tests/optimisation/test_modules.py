@@ -14,28 +14,34 @@ from tests.optimisation.calls import pool_search, select
 from tests.optimisation.test_pool import streets
 from tests.optimisation.test_zones import zones
 from warpav.core.errors import InputError
-from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.importance import Importance
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.settings import ImportanceSettings
-from warpav.optimisation.single_cameras import SingleCameras
-from warpav.optimisation.space import SearchSpace
+from warpav.optimisation import (
+    PITCH_RAD,
+    X_M,
+    Y_M,
+    YAW_RAD,
+    AssignedScene,
+    CameraMount,
+    CameraProbability,
+    ExpectedMissRate,
+    Importance,
+    ImportanceSettings,
+    ObjectiveOptions,
+    PoolSearchSettings,
+    RigLimits,
+    RigObjective,
+    SearchSpace,
+    ZoneAndSpacing,
+    highest_mount_pose,
+)
+from warpav.optimisation._mount import views_of_rig
+from warpav.optimisation._pool import spread_mount_poses
+from warpav.optimisation._single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
-from warpav.rig.chart import chart_of
-from warpav.rig.module import Housing, Module, Price
-from warpav.rig.rig import Rig, read_rig, write_rig
-from warpav.rig.zone import NORMALS, Zone
-from warpav.scene.device_scene import DeviceScene
+from warpav.rig import NORMALS, Housing, Module, Price, Rig, Zone, chart_of, read_rig, write_rig
+from warpav.scene import DeviceScene
 
 NEAR_M = 0.01
 SMALL = PoolSearchSettings(pool_cameras=30, rounds=1, priced_cameras=2, gap=0.0)

@@ -15,14 +15,12 @@ from tests.optimisation.test_modules import columns, symmetric_cameras, symmetri
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, drawn, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
-from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR
-from warpav.optimisation.mount_errors import COLUMNS, MountErrors
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.single_cameras import MisplacedCameras
+from warpav.detection import expected_miss_rate
+from warpav.optimisation import HEIGHT_DELTA_M, LOG_ZOOM, MountErrors, RigLimits, ZoneAndSpacing, highest_mount_pose
+from warpav.optimisation._mount import MIRROR
+from warpav.optimisation._mount_errors import COLUMNS
+from warpav.optimisation._pool import spread_mount_poses
+from warpav.optimisation._single_cameras import MisplacedCameras
 from warpav.raster.camera import CameraModel
 
 ERRORS = MountErrors(0.05, 0.04)

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import EGO_TOP_M, flat_surface, street
-from warpav.optimisation.baselines import _PLACE_STEP_M, move_to_vehicle
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.mount import CameraMount
+from warpav.optimisation import CameraMount, ZoneAndSpacing, move_to_vehicle
+from warpav.optimisation._baselines import _PLACE_STEP_M
 from warpav.raster.camera import CameraModel
-from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.rig.presets import preset_names, preset_rig
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.town.town import town_scene
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.rig import Rig, RigCamera, mount_surface_from_mesh, preset_names, preset_rig
+from warpav.scene import town_scene
+from warpav.thesis import BoundsAndSpacing
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 

@@ -13,11 +13,10 @@ from tests.cli.small_run import SMALL
 from tests.driving_scene import street
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.detection.detector import Detections
+from warpav.detection import Detections
+from warpav.runs import Optimisation, Placement
 from warpav.runs.config import load_config
-from warpav.runs.optimise import Optimisation
-from warpav.runs.placement import Placement
-from warpav.scene.glb import write_scene
+from warpav.scene import write_scene
 
 ONE_SCENE = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1"]
 SEARCHES = {
@@ -117,7 +116,7 @@ def test_road_users_out_of_every_frame_are_missed_by_a_descent_and_refused_by_a_
 
 
 def test_a_loss_that_breaks_ends_the_run_once_and_keeps_the_best(monkeypatch):
-    from warpav.optimisation.objective import RigObjective
+    from warpav.optimisation import RigObjective
 
     evaluate, calls = RigObjective.evaluate, []
 

@@ -10,13 +10,13 @@ import warp as wp
 from tests.driving_scene import ConstantDetector, SilentDetector, packed_street, roof
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import thesis
-from warpav.detection.observe import Observation
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
+from warpav.detection import Observation
+from warpav.optimisation import X_M, Y_M, YAW_RAD, AssignedScene, CameraMount
+from warpav.optimisation._mount import views_of_rig
 from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
-from warpav.rig.rig import Rig
+from warpav.rig import Rig
 
 MODEL = CameraModel(256, 256, math.pi / 2)
 POSE = np.array(

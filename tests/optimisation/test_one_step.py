@@ -7,11 +7,7 @@ import warp as wp
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.optimisation.test_missed import POSE, probability_model
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.settings import LossSettings
+from warpav.optimisation import AssignedScene, CameraMount, LossSchedule, LossSettings, ZoneAndSpacing
 from warpav.raster.buffers import Buffers
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion

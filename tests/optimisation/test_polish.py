@@ -10,13 +10,10 @@ from tests.driving_scene import ConstantDetector
 from tests.optimisation.calls import polish
 from tests.optimisation.objectives import rig_objective
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
-from warpav.detection.miss_rate import SUREST, expected_miss_rate, expected_miss_slope
-from warpav.optimisation import polish as module
+from warpav.detection import SUREST, expected_miss_rate, expected_miss_slope
+from warpav.optimisation import AssignedScene, FreeRanges, LossSettings, ZoneAndSpacing
+from warpav.optimisation import _polish as module
 from warpav.optimisation._tangent_model import Rendered, TangentModel
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import FreeRanges
-from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 
 WHOLE = CameraModel(96, 96, math.pi / 2)

@@ -19,19 +19,28 @@ from tests.optimisation.test_missed import FREE, scenes_of
 from warpav.core.errors import InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress
-from warpav.optimisation import pool as module
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.settings import LossSettings
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation import (
+    HEIGHT_DELTA_M,
+    LOG_ZOOM,
+    PITCH_RAD,
+    X_M,
+    Y_M,
+    YAW_RAD,
+    CameraMount,
+    CameraProbability,
+    LossSettings,
+    ZoneAndSpacing,
+)
+from warpav.optimisation import _pool as module
+from warpav.optimisation._mount import ROLL_RAD
+from warpav.optimisation._pool import spread_mount_poses
+from warpav.optimisation._single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
-from warpav.rig.mount_surface import MountSurface
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.rig import MountSurface
+from warpav.thesis import BoundsAndSpacing
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 
@@ -159,7 +168,7 @@ def test_lenses_and_samples_are_those_of_the_objective(device, lens, supersampli
 def test_neither_chunks_nor_threads_nor_neighbours_change_a_bit(monkeypatch):
     pose = poses_of(37)
     expected = drawn(37).detection_probability
-    monkeypatch.setattr("warpav.optimisation.single_cameras._CPU_VIEWS", 5)
+    monkeypatch.setattr("warpav.optimisation._single_cameras._CPU_VIEWS", 5)
     for chunk, threads in ((1, 1), (7, 2), (100, 3)):
         found = drawn(37, cameras=cameras_of(thread_count=threads), chunk_cameras=chunk)
         np.testing.assert_array_equal(found.detection_probability, expected)

@@ -12,20 +12,19 @@ from tests.driving_scene import street
 from tests.optimisation.test_modules import columns, symmetric_cameras, symmetric_mount
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
-from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation import pool_search
-from warpav.optimisation.mount import FreeRanges
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
-from warpav.optimisation.pool_rules import ALONE, PoolRules
-from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
+from warpav.detection import expected_miss_rate
+from warpav.optimisation import CameraPool, FreeRanges, PoolRules, PoolSearchSettings, PoolTask
+from warpav.optimisation import _pool_search as pool_search
+from warpav.optimisation._pool import spread_mount_poses
+from warpav.optimisation._pool_rules import ALONE
+from warpav.optimisation._pool_search import PoolSearch
+from warpav.optimisation._single_cameras import SingleCameras
 from warpav.optimisation.selection._problem import SelectionProblem
-from warpav.optimisation.selection.select import select
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.selection._select import select
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig
-from warpav.sight.around import level_ground
-from warpav.sight.rules import NEAR_M, SPARED, RuleCheck, Rules, housing_shares, near_ring_m, ring_m
-from warpav.sight.sight import sight
+from warpav.rig import Rig
+from warpav.sight import NEAR_M, SPARED, RuleCheck, Rules, level_ground, near_ring_m, ring_m, sight
+from warpav.sight._rules import housing_shares
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
 RULES = Rules(own_body=0.35, azimuth_gap_rad=None, near_ground=False, housing=0.004)

@@ -12,12 +12,8 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL, short_refinement
 from warpav.core.errors import InputError
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.pool_run import PoolRun
-from warpav.optimisation.pool_search import PoolTask
-from warpav.optimisation.selection.select import BranchAndBound
-from warpav.optimisation.settings import LossSettings
+from warpav.optimisation import AssignedScene, LossSettings, PoolRun, PoolTask, single_cameras_of
+from warpav.optimisation.selection._select import BranchAndBound
 
 REFINED = dataclasses.replace(SMALL, pool_cameras=12, rounds=1, refinements=1)
 

@@ -12,11 +12,11 @@ from tests.optimisation.calls import draw, pool_search
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
-from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation import pool as pool_module
-from warpav.optimisation import pool_search as module
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings
+from warpav.detection import expected_miss_rate
+from warpav.optimisation import PoolSearchSettings
+from warpav.optimisation import _pool as pool_module
+from warpav.optimisation import _pool_search as module
+from warpav.optimisation._pool import spread_mount_poses
 
 SMALL = PoolSearchSettings(pool_cameras=24, rounds=2, priced_cameras=4, gap=0.0)
 

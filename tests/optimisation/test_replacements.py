@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpav.detection.miss_rate import expected_miss_rate
+from warpav.detection import expected_miss_rate
 from warpav.optimisation._replacements import Replacements
 
 UNIT = np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0])

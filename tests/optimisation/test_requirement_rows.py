@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.optimisation.calls import select
 from warpav.core.errors import InputError
-from warpav.optimisation.required_points import _require_meetable, _requirement_rows
-from warpav.sight.requirement import SIZES_M, Band, Ghosts, Requirement, TestObject
-from warpav.sight.visibility import Visibility
+from warpav.optimisation._required_points import _require_meetable, _requirement_rows
+from warpav.sight import Ghosts, Requirement, Visibility
+from warpav.sight._requirement import SIZES_M, Band, TestObject
 
 POST = TestObject("post", SIZES_M["post"])
 

@@ -12,20 +12,25 @@ from hypothesis import strategies as st
 from tests.driving_scene import roof
 from tests.thesis.test_descent import street_objective, street_scenes
 from warpav.core.errors import InputError
-from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.budget import BudgetedValue, SearchRecord, run_search
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.rivals import (
+from warpav.optimisation import (
+    X_M,
+    Y_M,
+    YAW_RAD,
+    BudgetedValue,
+    CameraMount,
+    SearchSpace,
     cma_es,
     detections_of,
     differential_evolution,
     greedy_cover,
+    highest_mount_pose,
     random_search,
+    run_search,
     sobol_search,
 )
-from warpav.optimisation.space import SearchSpace
+from warpav.optimisation._budget import SearchRecord
 from warpav.raster.camera import CameraModel
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis import BoundsAndSpacing
 
 SPACING_M = 0.2
 MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)

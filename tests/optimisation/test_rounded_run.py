@@ -12,11 +12,10 @@ from tests.optimisation.test_numbers_that_break import Said
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_pool_rules import RULES, kept_by, mount, rules_of
-from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_run import PoolRun
-from warpav.optimisation.pool_search import PoolSearchSettings, PoolTask
-from warpav.optimisation.rounding import roundings
-from warpav.sight.rules import RuleCheck
+from warpav.optimisation import PoolRun, PoolSearchSettings, PoolTask
+from warpav.optimisation._pool import spread_mount_poses
+from warpav.optimisation._pool_run import roundings
+from warpav.sight import RuleCheck
 
 FOUR = zone_of(mount(), 4)
 WEIGHT = np.array([1.0, 5.0, 0.5, 1.0, 2.0, 1.0, 3.0, 1.0, 0.2, 1.0])
@@ -92,7 +91,7 @@ def test_what_may_not_be_rendered_stays_as_it_is():
 
 @pytest.mark.parametrize("most", [0.002, 0.05])
 def test_the_simpler_rig_has_what_by_hand_costs_least(most, monkeypatch):
-    monkeypatch.setattr("warpav.optimisation.pool_run._SIMPLER", most)
+    monkeypatch.setattr("warpav.optimisation._pool_run._SIMPLER", most)
     found = run()
     rig = found.rounding.mount_pose
     hand = np.array(min(itertools.permutations(found.start), key=lambda each: far(rig, np.array(each))))

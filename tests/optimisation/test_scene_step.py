@@ -6,9 +6,7 @@ import warp as wp
 
 from tests.driving_scene import packed_street, roof
 from tests.optimisation.objectives import OneScene, thesis_losses
-from warpav.optimisation.losses.loss import Reference
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import CameraMount
+from warpav.optimisation import AssignedScene, CameraMount, Reference
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer

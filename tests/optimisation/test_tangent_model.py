@@ -6,7 +6,7 @@ import pytest
 from tests.optimisation.calls import polish
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import mount_of, poses_of
-from warpav.detection.miss_rate import expected_miss_rate
+from warpav.detection import expected_miss_rate
 from warpav.optimisation._tangent_model import CONTRADICTION, Rendered, TangentModel
 
 SLOPE = np.random.default_rng(0).normal(size=(3, 5, 7))  # [camera, object, number]

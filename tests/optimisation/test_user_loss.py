@@ -3,37 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.driving_scene import ConstantDetector, packed_street, roof
-from tests.optimisation.test_missed import POSE, probability_model
+from tests.optimisation.test_missed import POSE, objective_of, scenes_of
 from warpav.core.errors import InputError
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import YAW_RAD, CameraMount
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.raster.camera import CameraModel
-from warpav.raster.decide import Occlusion
-from warpav.thesis.constraints import BoundsAndSpacing
-
-MODEL = CameraModel(128, 128)
-
-
-def objective_of(*losses, device="cpu"):
-    return RigObjective(
-        CameraMount(roof(), camera=MODEL, height_offset_m=0.25, device=device),
-        ConstantDetector.silent(2),
-        camera_count=2,
-        losses=losses,
-        camera_probability=CameraProbability(probability_model(np.random.default_rng(3))),
-        constraints=BoundsAndSpacing(roof()),
-        options=ObjectiveOptions(occlusion=Occlusion.EXACT),
-    )
-
-
-def scenes_of(device="cpu"):
-    return [
-        AssignedScene(packed_street(device, count, seed), np.full(count, -1, np.int32))
-        for seed, count in enumerate((10, 0, 4))
-    ]
+from warpav.optimisation import (
+    YAW_RAD,
+    ExpectedMissRate,
+)
 
 
 def misses(probability, objects):
@@ -44,10 +19,12 @@ def misses(probability, objects):
 
 
 def test_a_function_of_the_probabilities_is_as_good_as_a_kernel(device):
-    pose, scenes = POSE.copy(), scenes_of(device)
+    pose, scenes = POSE.copy(), scenes_of(device, 10, 0, 4)
     pose[1, YAW_RAD] = 0.7
-    ours = objective_of((0.5, misses), device=device).evaluate(pose, scenes, gradient=True)
-    built_in = objective_of((0.5, ExpectedMissRate()), device=device).evaluate(pose, scenes, gradient=True)
+    ours = objective_of(device, others={"losses": [(0.5, misses)]}).evaluate(pose, scenes, gradient=True)
+    built_in = objective_of(device, others={"losses": [(0.5, ExpectedMissRate())]}).evaluate(
+        pose, scenes, gradient=True
+    )
     # the mean over three scenes, and that over their fourteen objects
     assert 3 * ours.terms["misses"] == pytest.approx(14 * built_in.terms["expected_miss_rate"], rel=1e-5)
     assert ours.total == pytest.approx(0.5 * ours.terms["misses"], rel=1e-6)
@@ -56,10 +33,10 @@ def test_a_function_of_the_probabilities_is_as_good_as_a_kernel(device):
 
 
 def test_losses_of_the_host_and_of_the_device_add_up(device):
-    scenes = scenes_of(device)
+    scenes = scenes_of(device, 10, 0, 4)
 
     def found(*losses):
-        return objective_of(*losses, device=device).evaluate(POSE, scenes, gradient=True)
+        return objective_of(device, others={"losses": losses}).evaluate(POSE, scenes, gradient=True)
 
     def squares(probability, objects):
         del objects
@@ -70,7 +47,7 @@ def test_losses_of_the_host_and_of_the_device_add_up(device):
     assert together.total == pytest.approx(sum(each.total for each in alone), rel=1e-6)
     assert list(together.terms)[:3] == ["expected_miss_rate", "misses", "squares"]
     np.testing.assert_allclose(together.gradient, sum(each.gradient for each in alone), rtol=1e-4, atol=1e-6)
-    again = objective_of((0.3, ExpectedMissRate()), (0.1, misses), (0.2, squares), device=device)
+    again = objective_of(device, others={"losses": [(0.3, ExpectedMissRate()), (0.1, misses), (0.2, squares)]})
     rig = again.mount.rig(POSE)
     _, _, observed, _ = again.observe_rig(rig, scenes[0])
     assert observed == pytest.approx(again.evaluate(POSE, scenes[:1]).objective, rel=1e-4)
@@ -86,7 +63,7 @@ def test_losses_of_the_host_and_of_the_device_add_up(device):
 )
 def test_what_a_loss_must_not_return(function, message):
     with pytest.raises(InputError, match=f"losses: <lambda>: {message}"):
-        objective_of((1.0, function)).evaluate(POSE, scenes_of(), gradient=True)
+        objective_of(others={"losses": [(1.0, function)]}).evaluate(POSE, scenes_of("cpu", 10, 0, 4), gradient=True)
 
 
 @pytest.mark.parametrize(
@@ -101,4 +78,4 @@ def test_what_a_loss_must_not_return(function, message):
 )
 def test_losses_that_cannot_be_added_up(losses, error, message):
     with pytest.raises(error, match=message):
-        objective_of(*losses)
+        objective_of(others={"losses": losses})

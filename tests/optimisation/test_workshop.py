@@ -9,16 +9,12 @@ import pytest
 import warpav as wa
 from tests.optimisation.test_hand_rigs import flat
 from warpav.core.errors import InputError
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.hand_rigs import mount_pose_by_hand
-from warpav.optimisation.mount import CameraMount, named_by_direction
-from warpav.optimisation.rounding import roundings, workshop_rig
+from warpav.optimisation import CameraMount, ZoneAndSpacing, mount_pose_by_hand, workshop_rig
+from warpav.optimisation._mount import named_by_direction
+from warpav.optimisation._pool_run import roundings
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.rig.chart import chart_of, with_middles
-from warpav.rig.module import Housing, Module, Price, Role
-from warpav.rig.rig import RigCamera
-from warpav.rig.zone import NORMALS, Zone
+from warpav.rig import NORMALS, Housing, Module, Price, RigCamera, Role, Zone, chart_of, with_middles
 from warpav.runs._mounts import made_symmetric
 from warpav.runs.config import load_config
 

@@ -11,14 +11,12 @@ from tests.driving_scene import street
 from tests.optimisation.calls import polish
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
-from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.pool import spread_mount_poses
+from warpav.optimisation import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, ZoneAndSpacing
+from warpav.optimisation._mount import ROLL_RAD
+from warpav.optimisation._pool import spread_mount_poses
 from warpav.raster.camera import CameraModel
-from warpav.rig.chart import chart_of
-from warpav.rig.rig import Rig, RigCamera
-from warpav.rig.zone import NORMALS, Zone
-from warpav.scene.device_scene import DeviceScene
+from warpav.rig import NORMALS, Rig, RigCamera, Zone, chart_of
+from warpav.scene import DeviceScene
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 PITCH = (-0.2, 0.5)

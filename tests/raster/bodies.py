@@ -9,8 +9,7 @@ import warp as wp
 from tests.driving_scene import camera_pose, on_device
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene, object_index_of
-from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.scene import Box, DeviceScene, Scene, Vehicle, object_index_of
 
 FAR_AWAY = Mesh.create([[0, 0, -500], [1, 0, -500], [0, 1, -500]], [[0, 1, 2]], [0, 0, 0])
 # 0.1 rad, and a tenth of the focal length, weigh as much as 1 m

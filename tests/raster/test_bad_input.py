@@ -35,14 +35,14 @@ def test_images_without_pixels_or_with_too_many_are_refused(size, supersampling,
 
 def test_every_array_of_a_view_fits_strides_of_32_bits():
     # keys have 8 bytes, colours 12, reaches 8 for each of four directions in rows of their own
-    assert 12 * buffers_module.MAX_VIEW_SAMPLES < 2**31
-    assert 8 * buffers_module.MAX_ATLAS_SAMPLES < 2**31
+    assert 12 * buffers_module._MAX_VIEW_SAMPLES < 2**31
+    assert 8 * buffers_module._MAX_ATLAS_SAMPLES < 2**31
     # 4K images with four samples along each axis fit
-    assert buffers_module.MAX_VIEW_SAMPLES > (4 * 3840 + 2) * (4 * 2160 + 2)
+    assert buffers_module._MAX_VIEW_SAMPLES > (4 * 3840 + 2) * (4 * 2160 + 2)
 
 
 def test_silhouettes_that_do_not_fit_are_refused(device, monkeypatch):
-    monkeypatch.setattr(buffers_module, "MAX_ATLAS_SAMPLES", 1000)
+    monkeypatch.setattr(buffers_module, "_MAX_ATLAS_SAMPLES", 1000)
     with pytest.raises(ValueError, match=r"3 views of 66 x 50 samples need \d+ samples, more than 800; render fewer"):
         Renderer([MODEL] * 3, device=device).render(packed_street(device).raster, *on_device(POSES, device))
 

@@ -12,7 +12,7 @@ from tests.raster.test_lenses import models_of
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene import DeviceScene
 
 BENT = {name: model for name, model in models_of(128).items() if model.lens is not Lens.PINHOLE}
 STEPS = ((0, -1), (-1, 0), (1, 0), (0, 1))  # to the left, top, bottom and right

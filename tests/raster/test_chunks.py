@@ -11,7 +11,7 @@ from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.core.errors import is_out_of_memory
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import KeptRenderers, ViewsAtOnce, record_graph, views_with_room
+from warpav.raster.chunks import KeptRenderers, ViewsAtOnce, _views_with_room, record_graph
 from warpav.raster.renderer import Renderer
 
 LACK = RuntimeError("Failed to allocate 8589934592 bytes on device 'cuda:0'")
@@ -68,7 +68,7 @@ def test_one_view_without_room_and_other_errors_are_raised():
 )
 def test_a_gpu_renders_what_has_room(most, free_gib, sharers, expected):
     free_bytes = int(free_gib * 2**30)
-    assert views_with_room(most, 2**28, free_bytes=free_bytes, sharers=sharers) == expected
+    assert _views_with_room(most, 2**28, free_bytes=free_bytes, sharers=sharers) == expected
 
 
 SIZE = 96, 64

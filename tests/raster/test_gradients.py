@@ -10,14 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.driving_scene import SKY, block, camera_pose, car, flat_surface, ground, on_device, vehicle
 from warpav.core.frames import EGO_FROM_THESIS
-from warpav.optimisation.mount import CameraMount
+from warpav.optimisation import CameraMount
 from warpav.raster.areas import AMODAL_AREA, BOTTOM, BOX_AREA, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import BLACK_SKY, Box, Scene, Vehicle
+from warpav.scene import BLACK_SKY, Box, DeviceScene, Scene, Vehicle
 
 MODEL = CameraModel(256, 256, math.radians(80.0), 0.1)
 POSE_COUNT = 50

@@ -15,7 +15,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import record_graph
 from warpav.raster.poses import ViewPoses
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene import DeviceScene
 
 SIZE_PX, FOV_RAD, POSE_COUNT = 96, math.radians(80.0), 10
 # Steps of a few of the truth's samples; the truth is the mean of them over a pixel.

@@ -29,8 +29,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.poses import ViewPoses
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
+from warpav.scene import DeviceScene, Scene
 
 SIZE = 96
 BARREL = (-0.21, 0.06, 0.002, -0.001, -0.008)

@@ -16,8 +16,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import merge
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
+from warpav.scene import DeviceScene, Scene
 
 MODEL = CameraModel(96, 72, math.pi / 2, 0.1)
 

@@ -9,13 +9,11 @@ import pytest
 from tests.driving_scene import EGO_TOP_M, camera_pose, packed_street, street
 from tests.oracle.ray_cast import cast_scene
 from tests.raster.test_renderer import images_of
-from warpav.detection.images import render_images
+from warpav.detection import render_images
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import RigCamera
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Box, Vehicle
-from warpav.scene.town.people import person_mesh
+from warpav.rig import RigCamera
+from warpav.scene import Box, DeviceScene, Vehicle, person_mesh
 
 MODEL = CameraModel(160, 160, math.pi / 2, 0.1)
 EYE_M = np.array([1.1, 0.0, EGO_TOP_M + 0.2])

@@ -13,7 +13,7 @@ from warpav.raster import chunks
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import Recording
 from warpav.raster.frame import Frame
-from warpav.raster.lens import TABLE_ENTRIES, Lens, image_table
+from warpav.raster.lens import _TABLE_ENTRIES, Lens, image_table
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
@@ -123,8 +123,8 @@ RADIAL = [name for name, model in MODELS.items() if model.shape.is_radial]
 
 def in_table(shape, direction, column):
     """A column of a lens's table at directions of unit length."""
-    entry = 0.5 * (1.0 - direction[..., 2]) * (TABLE_ENTRIES - 1)
-    return np.interp(entry, np.arange(TABLE_ENTRIES), image_table(shape, math.pi)[:, column].astype(np.float64))
+    entry = 0.5 * (1.0 - direction[..., 2]) * (_TABLE_ENTRIES - 1)
+    return np.interp(entry, np.arange(_TABLE_ENTRIES), image_table(shape, math.pi)[:, column].astype(np.float64))
 
 
 def moves_aside(shape):
@@ -147,7 +147,7 @@ def test_the_table_knows_the_image_of_a_direction(name):
     assert seen.sum() > 500
     assert (error <= 1e-4 + math.sqrt(2.0) * moves_aside(shape) * far * far).all()
     radius = image_table(shape, math.pi)[:, 0].astype(np.float64) * np.sin(
-        np.arccos(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES))
+        np.arccos(1.0 - 2.0 * np.linspace(0.0, 1.0, _TABLE_ENTRIES))
     )
     assert (np.diff(radius[:-20]) > 0.0).all()
 

@@ -17,13 +17,12 @@ from tests.driving_scene import (
 )
 from tests.oracle.ray_cast import RayCaster, cast_scene
 from tests.raster.bodies import depth_and_index
-from warpav.detection.images import render_images
+from warpav.detection import render_images
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import RigCamera
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
+from warpav.rig import RigCamera
+from warpav.scene import DeviceScene, Scene
 
 MODEL = CameraModel(128, 128, math.pi / 2, 0.1)
 FAR_AWAY = Mesh.create([[0, 0, -500], [1, 0, -500], [0, 1, -500]], [[0, 1, 2]], [0, 0, 0])

@@ -12,8 +12,7 @@ from tests.raster.test_gradients import SIX, SIX_WEIGHT, SPIN_X, moved, poses_ro
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
+from warpav.scene import DeviceScene, Scene
 
 WIDE = (0.0, 0.0, 20.0, 20.0)  # holds every direction
 SOFTNESS_RAD = 0.1

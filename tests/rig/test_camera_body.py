@@ -9,17 +9,8 @@ from embreex.rtcore_scene import EmbreeScene
 
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.rig.camera_body import (
-    LENS_M,
-    bodies_of,
-    body_of,
-    boxes_meet,
-    corners_m,
-    hidden_share,
-    nearest_on,
-)
-from warpav.rig.module import Housing
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Housing, Rig, RigCamera, bodies_of, boxes_meet, corners_m, hidden_share
+from warpav.rig._camera_body import LENS_M, body_of, nearest_on
 
 MODELS = {
     "pinhole": CameraModel(120, 80, math.radians(90.0)),

@@ -9,8 +9,8 @@ import pytest
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
-from warpav.rig.catalogue import builtin_modules, module_table, read_modules
-from warpav.rig.module import Fitting, Housing, Price, vertical_angle_rad
+from warpav.rig import Housing, Price, builtin_modules, module_table, read_modules
+from warpav.rig._module import Fitting, vertical_angle_rad
 
 ONE = """\
 modules:

@@ -7,9 +7,8 @@ import pytest
 
 import warpav as wa
 from tests.raster.bodies import cuboid
-from warpav.rig.check import oddities, off_vehicle
-from warpav.rig.rig import Rig
-from warpav.scene.town.town import ego_vehicle
+from warpav.rig import Rig, oddities, off_vehicle
+from warpav.scene import ego_vehicle
 
 
 def at(*position_m):

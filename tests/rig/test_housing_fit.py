@@ -8,9 +8,7 @@ import pytest
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
-from warpav.rig.chart import chart_of
-from warpav.rig.module import Housing, Module, Price
-from warpav.rig.zone import NORMALS, Zone
+from warpav.rig import NORMALS, Housing, Module, Price, Zone, chart_of
 
 BOX = cuboid((4.0, 1.8, 1.4), (1.3, 0.0, 0.9))
 

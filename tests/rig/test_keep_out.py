@@ -5,10 +5,8 @@ import pytest
 
 from tests.raster.bodies import cuboid
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.chart import chart_of, propose_zones
-from warpav.rig.proposals import kinds_of_names, parts_of
-from warpav.rig.zone import NORMALS
-from warpav.scene.own_vehicle import read_vehicle
+from warpav.rig import NORMALS, chart_of, kinds_of_names, parts_of, propose_zones
+from warpav.scene import read_vehicle
 
 
 @pytest.mark.parametrize(

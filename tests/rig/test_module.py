@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
-from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price, vertical_angle_rad
+from warpav.rig import Housing, Module, Price
+from warpav.rig._module import Fitting, ModuleError, vertical_angle_rad
 
 LENSES = {
     Lens.PINHOLE: (math.radians(70.0), ()),

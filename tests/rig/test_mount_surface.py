@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.scene.town.town import ego_vehicle
-from warpav.scene.town.vehicle_shapes import ego_glass
+from warpav.rig import MountSurface, mount_surface_from_mesh
+from warpav.scene import ego_vehicle
+from warpav.scene.town._vehicle_shapes import ego_glass
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 

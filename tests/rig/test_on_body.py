@@ -7,10 +7,9 @@ import pytest
 
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.on_body import LEAST_STAND_OFF_M, REACH_M, Body, blocked_shares, put_on_body, ray_caster
-from warpav.rig.presets import preset_names, preset_on_vehicle, preset_rig
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.town.town import town_scene
+from warpav.rig import Rig, RigCamera, blocked_shares, preset_names, preset_on_vehicle, preset_rig, ray_caster
+from warpav.rig._on_body import LEAST_STAND_OFF_M, REACH_M, Body, put_on_body
+from warpav.scene import town_scene
 
 SPACING_M = 0.06
 """Places are about 2 cm apart on a car; three times that is never exceeded in 100,000."""

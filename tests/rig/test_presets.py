@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.rig.presets import preset_about, preset_names, preset_rig
+from warpav.rig import preset_about, preset_names, preset_rig
 
 CAMERA_COUNT = {"argoverse2": 9, "edgar": 10, "nuscenes": 6, "unidrive_6x60": 6}
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.rig import Rig, RigCamera, read_rig, write_rig
 
 GOOD = """\
 frame: ego

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 import warpav as wa
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
-from warpav.rig.chart import chart_of, propose_zones
-from warpav.rig.proposals import parts_of
-from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
-from warpav.scene.own_vehicle import read_vehicle
+from warpav.rig import NORMALS, Zone, chart_of, parts_of, propose_zones, read_zones, write_zones
+from warpav.rig._zone import mirrored
+from warpav.scene import read_vehicle
 
 SIZE_M, PLACE_M = (4.0, 1.8, 1.4), (1.3, 0.0, 0.9)
 LOW_M, HIGH_M = np.array(PLACE_M) - np.array(SIZE_M) / 2.0, np.array(PLACE_M) + np.array(SIZE_M) / 2.0

@@ -8,7 +8,7 @@ import pytest
 import warpav as wa
 from tests.cli.small_run import SMALL
 from tests.detection.test_probability import model_of
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
 from warpav.runs._events import Certificate
 from warpav.runs.report.report import write_report
 from warpav.view import opengl_problem

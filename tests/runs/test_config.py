@@ -5,7 +5,7 @@ import math
 import pytest
 
 from warpav.core.errors import InputError, OptionError
-from warpav.optimisation.mount import FreeRanges
+from warpav.optimisation import FreeRanges
 from warpav.runs._mounts import camera_model, free_ranges
 from warpav.runs.config import (
     Config,

@@ -4,9 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.cli.small_run import complaint
 from warpav.cli.app import main
-from warpav.runs import detector_check
-from warpav.runs._networks import detector_use, load_detector
+from warpav.runs import _detector_check as detector_check
+from warpav.runs import load_detector
+from warpav.runs._networks import detector_use
 from warpav.runs.config import load_config
 
 pytest.importorskip("onnx")
@@ -124,7 +126,4 @@ def test_paths_may_begin_at_home(folder, capsys, monkeypatch):
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(folder, capsys, words, message):
-    assert main(["detector", "check", *words]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
+    assert message in complaint(capsys, "detector", "check", *words)

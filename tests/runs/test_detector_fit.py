@@ -8,18 +8,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.cli.small_run import complaint
+from tests.optimisation.test_numbers_that_break import Said
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.detection import probability
-from warpav.detection.probability import FEATURE_COUNT, DetectionProbability, stored_file
-from warpav.detection.probability_fit import DetectionSamples, score
+from warpav.detection import DetectionProbability, DetectionSamples, score, stored_file
+from warpav.detection import _probability as probability
+from warpav.detection._probability import FEATURE_COUNT
 from warpav.raster.camera import CameraModel
+from warpav.runs import _detector_fit as detector_fit
 from warpav.runs import _detector_samples as detector_samples
-from warpav.runs import detector_fit
+from warpav.runs._detector_fit import chosen_seeds
 from warpav.runs._networks import any_camera_config, any_camera_use, detector_use
 from warpav.runs.config import load_config
-from warpav.runs.detector_fit import chosen_seeds
 from warpav.scene.traffic.moments import search_and_test
 
 
@@ -27,14 +29,6 @@ from warpav.scene.traffic.moments import search_and_test
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setattr(probability, "user_cache_folder", lambda _: tmp_path / "cache")
     return tmp_path / "cache"
-
-
-def refused(capsys, *words):
-    """The one line with which a command is refused."""
-    assert main(["detector", "fit", *words]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1, lines
-    return lines[0]
 
 
 def test_scenes_of_files_are_shared_out(tmp_path):
@@ -74,15 +68,15 @@ def test_what_is_shipped_needs_no_fit(words, tmp_path, monkeypatch):
     ],
 )
 def test_bad_words_are_refused(capsys, words, message):
-    line = refused(capsys, *words)
+    line = complaint(capsys, "detector", "fit", *words)
     assert re.search(message, line), line
 
 
 @pytest.fixture
 def small_fit(monkeypatch):
     monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)
-    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OBJECTS", 30)
-    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OF_EACH", 2)
+    monkeypatch.setattr("warpav.detection._probability_fit._MIN_OBJECTS", 30)
+    monkeypatch.setattr("warpav.detection._probability_fit._MIN_OF_EACH", 2)
     # small images, so that some objects are missed
     return ["--scenes", "1..3", "--held-out", "[4, 5, 6]", "camera.width_px=96", "camera.height_px=96"]
 
@@ -108,23 +102,13 @@ def test_a_fit_is_written_and_used_again(small_fit, own_cache, capsys):
     assert DetectionProbability.find(detector_use(config), unseen=config.scenes.test_seeds).record["fit"]["seeds"]
     # a damaged one is named, and can be replaced
     file.write_text(file.read_text()[:100])
-    assert "run warpav detector fit --again" in refused(capsys, *small_fit)
+    assert "run warpav detector fit --again" in complaint(capsys, "detector", "fit", *small_fit)
     assert main(["detector", "fit", *small_fit, "--again"]) == 0
     assert json.loads(file.read_text())["curves"] == data["curves"]
 
 
 class StoppedError(Exception):
     """Ends a fit before it begins."""
-
-
-class Said(NullProgress):
-    """Keeps what is said."""
-
-    def __init__(self):
-        self.lines = []
-
-    def say(self, text):
-        self.lines.append(text)
 
 
 @pytest.fixture
@@ -140,7 +124,7 @@ def sampled(monkeypatch):
         return DetectionSamples(feature, is_detected, np.full(40, seed))
 
     monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
-    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OBJECTS", 30)
+    monkeypatch.setattr("warpav.detection._probability_fit._MIN_OBJECTS", 30)
     return seeds
 
 

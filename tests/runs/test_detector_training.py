@@ -6,8 +6,9 @@ import os
 
 import pytest
 
+from tests.cli.small_run import complaint
 from warpav.cli.app import main
-from warpav.detection.training import data
+from warpav.detection.training import _data as data
 
 SIDES_PX = {64: 2, 96: 1}
 
@@ -22,16 +23,8 @@ def working_directory(working_directory):
 @pytest.fixture(autouse=True)
 def few_images(monkeypatch):
     few = {f"test_{level}": data.Subset(level, 3_000_000, 1, SIDES_PX) for level in ("easy", "urban")}
-    monkeypatch.setattr("warpav.runs.detector_training.TEST_SUBSETS", few)
+    monkeypatch.setattr("warpav.runs._detector_training.TEST_SUBSETS", few)
     monkeypatch.setattr(data, "TEST_SUBSETS", few)
-
-
-def refused(capsys, *words):
-    """The one line with which a command is refused."""
-    assert main(["detector", *words]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1, lines
-    return lines[0]
 
 
 @pytest.mark.parametrize(
@@ -46,7 +39,7 @@ def refused(capsys, *words):
 )
 def test_an_evaluation_with_wrong_words_is_refused(capsys, words, expected):
     out = [] if "--out" in words else ["--out", "out"]
-    assert refused(capsys, "evaluate", *out, *words) == f"command line {expected}"
+    assert complaint(capsys, "detector", "evaluate", *out, *words) == f"command line {expected}"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs PyTorch")
@@ -64,7 +57,7 @@ def test_an_evaluation_with_wrong_words_is_refused(capsys, words, expected):
 )
 def test_a_training_with_wrong_words_is_refused(capsys, words, expected):
     out = [] if "--out" in words else ["--out", "out"]
-    line = refused(capsys, "train", *out, *words)
+    line = complaint(capsys, "detector", "train", *out, *words)
     assert line.startswith("command line (")
     assert line.endswith(expected)
     assert os.listdir() == ["file"]
@@ -73,7 +66,9 @@ def test_a_training_with_wrong_words_is_refused(capsys, words, expected):
 def test_training_without_pytorch_says_what_to_install(capsys, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "torch" else find(name))
-    assert refused(capsys, "train", "--out", "out").endswith('got no such module; run: pip install "warpav[train]"')
+    assert complaint(capsys, "detector", "train", "--out", "out").endswith(
+        'got no such module; run: pip install "warpav[train]"'
+    )
 
 
 def test_an_evaluation_counts_and_uses_its_images_again(capsys, working_directory):

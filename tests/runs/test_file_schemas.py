@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
-from warpav.rig.catalogue import read_modules
-from warpav.rig.rig import read_rig
-from warpav.rig.zone import read_zones
+from warpav.rig import read_modules, read_rig, read_zones
 from warpav.runs.config import file_schema, load_config
-from warpav.sight.read import read_requirements
+from warpav.sight import read_requirements
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 

@@ -5,12 +5,10 @@ import pytest
 
 import warpav as wa
 from warpav.cli.app import main
-from warpav.detection.detector import Detections
-from warpav.rig.rig import write_rig
-from warpav.runs import RunFolder
-from warpav.runs.optimise import Optimisation
-from warpav.runs.placement import Placement
-from warpav.scene.town.town import ego_vehicle
+from warpav.detection import Detections
+from warpav.rig import write_rig
+from warpav.runs import Optimisation, Placement, RunFolder
+from warpav.scene import ego_vehicle
 
 SMALL = [
     "camera.width_px=96",

@@ -12,15 +12,12 @@ import pytest
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.optimisation.evaluation.metrics import observe_scenes
-from warpav.rig.check import off_vehicle
-from warpav.rig.rig import Rig, write_rig
-from warpav.runs import find_rig, preset_for
+from warpav.optimisation import observe_scenes
+from warpav.rig import Rig, off_vehicle, write_rig
+from warpav.runs import find_rig, highest_rig, preset_for
+from warpav.runs._evaluate import evaluate_on
 from warpav.runs.config import load_config
-from warpav.runs.evaluate import evaluate_on, highest_rig
-from warpav.scene.own_vehicle import read_vehicle
-from warpav.scene.town.town import ego_vehicle
-from warpav.scene.vehicles import file_of
+from warpav.scene import ego_vehicle, file_of, read_vehicle
 
 SMALL = ["scenes.train_seeds=[0]", "scenes.validation_seeds=null", "scenes.test_seeds=[5001, 5002]"]
 SHORT = ["run.iterations=3", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]

@@ -6,8 +6,9 @@ import time
 
 import pytest
 
+from warpav.runs import RunDisplay
 from warpav.runs import _progress as progress
-from warpav.runs._progress import RunDisplay, iteration_rows
+from warpav.runs._progress import iteration_rows
 from warpav.runs._terminal import Terminal
 
 REFRESH_S = 0.025

@@ -7,12 +7,11 @@ import pytest
 
 import warpav as wa
 from warpav.core.errors import InputError
-from warpav.detection.miss_rate import expected_miss_rate
+from warpav.detection import expected_miss_rate
 from warpav.experiments._result_folder import unseeded
+from warpav.optimisation import MountErrors, single_cameras_of
 from warpav.optimisation._camera_loss import RobustObjective
-from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.single_cameras import MisplacedCameras
+from warpav.optimisation._single_cameras import MisplacedCameras
 from warpav.runs._rig_evaluation import Robust
 from warpav.runs.config import Config, dump_config, load_config
 from warpav.runs.report._statements import _robust_text

@@ -8,11 +8,11 @@ import pytest
 import warpav as wa
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig.module import PLAIN
-from warpav.runs import find_rig
-from warpav.runs._mounts import camera_mount, rig_limits
+from warpav.rig import PLAIN
+from warpav.runs import camera_mount, find_rig
+from warpav.runs._mounts import rig_limits
 from warpav.runs.config import Config, load_config
-from warpav.sight.rules import Rules
+from warpav.sight import Rules
 
 
 def test_limits_are_in_radians_and_kept_where_a_search_can():

@@ -13,10 +13,10 @@ import pytest
 
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.presets import preset_rig
-from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.rig import Rig, RigCamera, preset_rig, read_rig, write_rig
+from warpav.runs import RunFolder
 from warpav.runs._checkpoint import check_options
-from warpav.runs._run_folder import RunFolder, check_new_run, held_run, new_run_folder
+from warpav.runs._run_folder import check_new_run, held_run, new_run_folder
 from warpav.runs.config import load_config
 
 

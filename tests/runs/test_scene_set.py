@@ -7,10 +7,10 @@ from tests.driving_scene import street
 from tests.experiments.small_experiment import OPTIONS
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.runs._scene_set import SceneSet, load_scene_set, load_scenes, pack_scenes
+from warpav.runs import Placement, SceneSet, load_scene_set, load_scenes
+from warpav.runs._scene_set import pack_scenes
 from warpav.runs.config import load_config
-from warpav.runs.placement import Placement
-from warpav.scene.glb import write_scene
+from warpav.scene import write_scene
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,9 @@ import pytest
 from tests.scene.test_files import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.raster.mesh import Mesh
-from warpav.runs import RunDisplay, RunFolder, load_scenes
+from warpav.runs import Placement, RunDisplay, RunFolder, load_scenes
 from warpav.runs.config import load_config
-from warpav.runs.placement import Placement
-from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.scene import Box, Scene, Vehicle
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -67,7 +66,7 @@ def small_scene(seed):
 
 def test_made_scenes_stay_and_are_split(working_directory, monkeypatch, capsys):
     monkeypatch.setattr(
-        "warpav.scene.files.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
+        "warpav.scene._files.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
     )
     assert main(["scenes", "make", "--count", "2", "--out", "scenes"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -89,7 +88,9 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
             raise RuntimeError("the street\nis closed")
         return small_scene(seed)
 
-    monkeypatch.setattr("warpav.scene.files.built_scenes", lambda sources: [failing(source.seed) for source in sources])
+    monkeypatch.setattr(
+        "warpav.scene._files.built_scenes", lambda sources: [failing(source.seed) for source in sources]
+    )
     assert main(["scenes", "make", "--count", "3", "--out", "scenes"]) == 2
     lines = capsys.readouterr().out.splitlines()
     assert lines[-2:] == ["2 of 3 done; rejected:", "scenes/scene_1.glb: RuntimeError: the street is closed"]

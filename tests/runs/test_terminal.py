@@ -6,7 +6,8 @@ import sys
 import pytest
 from rich.table import Table
 
-from warpav.runs._terminal import Group, Terminal, TerminalTable, shown
+from warpav.runs import TerminalTable
+from warpav.runs._terminal import Group, Terminal, shown
 
 NAME = "e\x1b[31mvil\r\nEVIL [bold]x[/bold] [/] :car: \x07"
 VISIBLE = "e\\x1b[31mvil\\r\\nEVIL [bold]x[/bold] [/] :car: \\x07"

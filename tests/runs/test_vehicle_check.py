@@ -10,13 +10,21 @@ from tests.scene.test_own_vehicle import of_kind, save
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.experiments._result_folder import unseeded
+from warpav.runs import load_scenes
 from warpav.runs._networks import detector_use
-from warpav.runs._scene_set import load_scenes, own_vehicle
+from warpav.runs._scene_set import own_vehicle
 from warpav.runs.config import load_config, with_absolute_paths
-from warpav.scene.glb import write_scene
-from warpav.scene.own_vehicle import Reading, read_vehicle_file, write_vehicle
-from warpav.scene.scene import Box, Scene, Vehicle
-from warpav.scene.town.town import ego_vehicle, town_scene
+from warpav.scene import (
+    Box,
+    Reading,
+    Scene,
+    Vehicle,
+    ego_vehicle,
+    read_vehicle_file,
+    town_scene,
+    write_scene,
+    write_vehicle,
+)
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -7,10 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from warpav.scene import cache as module
-from warpav.scene.cache import built_scenes, scene_file
-from warpav.scene.town.levels import TownSource, level_scene
-from warpav.scene.town.town import town_scene
+from warpav.scene import TownSource, level_scene, town_scene
+from warpav.scene import _cache as module
+from warpav.scene._cache import built_scenes, scene_file
 
 SEEDS = (3, 1000, 12)
 
@@ -18,8 +17,8 @@ SEEDS = (3, 1000, 12)
 SCRIPT = """
 import sys
 from pathlib import Path
-from warpav.scene.cache import built_scenes
-from warpav.scene.town.levels import TownSource
+from warpav.scene._cache import built_scenes
+from warpav.scene.town._levels import TownSource
 sources = [TownSource(seed) for seed in range(4)]
 print(*(scene.name for scene in built_scenes(sources, folder=Path(sys.argv[1]), worker_count=2)))
 """
@@ -51,7 +50,7 @@ def unbuilt(monkeypatch):
         seeds.append(seed)
         return level_scene(seed, level)
 
-    monkeypatch.setattr("warpav.scene.town.levels.level_scene", build)
+    monkeypatch.setattr("warpav.scene.town._levels.level_scene", build)
     return seeds
 
 

@@ -10,23 +10,25 @@ import pytest
 
 from warpav.core.errors import InputError
 from warpav.core.executor import Executor
-from warpav.scene.capture.capture import PlanSettings
-from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, read_capture
-from warpav.scene.capture.town_simulator import TownSimulator
-from warpav.scene.files import (
+from warpav.scene import (
     CaptureTask,
+    PlanSettings,
+    ReconstructionSettings,
     SceneTask,
+    TownSimulator,
+    TownSource,
     capture_path,
     capture_scenes,
     captures_in,
     check_captures,
     make_scenes,
+    read_capture,
+    read_scene,
     scene_path,
     split_seeds,
 )
-from warpav.scene.glb import read_scene
-from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
-from warpav.scene.town.levels import TownSource
+from warpav.scene.capture._folder import DESCRIPTION, UNFINISHED
+from warpav.scene.reconstruction._settings import MeshSettings
 
 SEED = 4
 PLAN = PlanSettings(vehicle_count=1, width_px=96, height_px=72, scene_heights_m=(20.0,), rotation_count=3)

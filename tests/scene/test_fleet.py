@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from tests.cli.small_run import complaint
 from tests.scene.traffic.recordings import street, write
-from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.scene.cache import built_scenes, scene_file
-from warpav.scene.fleet import CATEGORIES, _bodies, fleet_of
-from warpav.scene.own_vehicle import write_vehicle
-from warpav.scene.stored_scene import SceneRecipe
+from warpav.scene import SHIPPED, SceneRecipe, TownSource, fleet_of, level_scene, vehicle_mesh, write_vehicle
+from warpav.scene._cache import built_scenes, scene_file
+from warpav.scene._fleet import CATEGORIES, _bodies
 from warpav.scene.town._paint import _PAINT_COLOURS
-from warpav.scene.town.levels import TownSource, level_scene
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, vehicle_mesh
+from warpav.scene.town._vehicle_shapes import VARIANT_COUNT, body_size_m
 from warpav.scene.traffic.moments import Moment
 from warpav.scene.traffic.traffic_scene import TrafficSource
-from warpav.scene.vehicles import SHIPPED, vehicle_folder
+from warpav.scene.vehicles import vehicle_folder
 
 PLACES = (("easy", 0), ("easy", 1), ("urban", 1), ("dense", 0), ("motorway", 1))
 
@@ -211,8 +209,5 @@ def test_bad_vehicles_end_with_one_line_and_status_2(tmp_path, monkeypatch, caps
         "option": ["scenes", "statistics", f"scenes.vehicles={vehicles}", "--seeds", "0..1"],
         "flag": ["scenes", "make", "--count", "1", "--out", "out", "--vehicles", vehicles],
     }[command]
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert len(error.strip().splitlines()) == 1
+    assert message in complaint(capsys, *words)
     assert not list(tmp_path.glob("out/*"))

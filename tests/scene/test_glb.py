@@ -2,17 +2,15 @@
 
 import json
 import struct
-import time
 
 import numpy as np
 import pytest
 import trimesh
 
+from tests.core.test_bounded_files import refusal
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.own_vehicle import read_vehicle_file
-from warpav.scene.scene import Box, Scene, Sky, Vehicle
+from warpav.scene import Box, Scene, Sky, Vehicle, read_scene, read_vehicle_file, write_scene
 
 
 def _tetrahedron(offset_m, colour):
@@ -163,15 +161,6 @@ def test_no_faces(scene, tmp_path):
     _rewritten(path, points_only)
     with pytest.raises(InputError, match=r"vehicle_2': expected a mesh with triangles, got none"):
         read_scene(path)
-
-
-def refusal(read, path):
-    began = time.process_time()
-    with pytest.raises(InputError) as caught:
-        read(path)
-    assert time.process_time() - began < 5.0
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from PIL import Image
 from tests.raster.bodies import cuboid
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.mesh_colours import GREY_RGB, Texture, TexturedMesh, follow_textures, shaded
-from warpav.scene.own_vehicle import read_vehicle, read_vehicle_file
+from warpav.scene import read_vehicle, read_vehicle_file, shaded
+from warpav.scene._mesh_colours import GREY_RGB, Texture, TexturedMesh, follow_textures
 
 # a texture of 2 x 2 texels, upper row first
 RED, GREEN, BLUE, WHITE = (200, 10, 20), (30, 180, 40), (50, 60, 220), (240, 241, 242)

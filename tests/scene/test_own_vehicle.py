@@ -5,11 +5,11 @@ import pytest
 import trimesh
 
 from warpav.core.errors import InputError
-from warpav.rig.proposals import kinds_of_names
-from warpav.runs.vehicle import part_names
-from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle, read_vehicle_file, write_vehicle
-from warpav.scene.town.town import ego_vehicle
-from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_mesh
+from warpav.rig import kinds_of_names
+from warpav.runs._vehicle import part_names
+from warpav.scene import Reading, ego_vehicle, examine, read_vehicle, read_vehicle_file, vehicle_mesh, write_vehicle
+from warpav.scene._own_vehicle import AXES
+from warpav.scene.town._vehicle_shapes import ego_glass, ego_mesh
 
 TURNS = [(up, forward) for up in AXES for forward in AXES if up[-1] != forward[-1]]
 

@@ -4,9 +4,7 @@ import pytest
 
 from tests.scene.traffic.recordings import street, write
 from warpav.core.errors import InputError
-from warpav.scene.places import parts_of, sources_of
-from warpav.scene.town.levels import TownSource
-from warpav.scene.town.town import ego_vehicle
+from warpav.scene import TownSource, ego_vehicle, parts_of, sources_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
 

@@ -10,15 +10,13 @@ from tests.driving_scene import ego_mesh
 from tests.scene.test_glb import _tetrahedron
 from tests.scene.town.closed_surface import signed_volume_m3
 from tests.view.stand_ins import scene, vehicle
-from warpav.detection.images import render_images
+from warpav.detection import render_images
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.rig.rig import RigCamera
+from warpav.rig import RigCamera
 from warpav.runs import load_scenes
 from warpav.runs.config import load_config
-from warpav.scene.glb import write_scene
-from warpav.scene.scene import ROAD_USERS, Box, Scene, Vehicle
-from warpav.scene.town.town import town_scene
+from warpav.scene import ROAD_USERS, Box, Scene, Vehicle, town_scene, write_scene
 
 
 def pedestrian(instance_id, x, y):

@@ -13,13 +13,9 @@ import pytest
 from tests.driving_scene import street
 from warpav.core import cache as core_cache
 from warpav.core.errors import InputError
-from warpav.scene import stored_scene as module
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.stored_scene import SceneRecipe, stored_scenes
-from warpav.scene.town.levels import TownSource
-from warpav.scene.town.town import town_scene
-from warpav.scene.town.vehicle_shapes import ego_mesh
+from warpav.scene import DeviceScene, SceneRecipe, TownSource, read_scene, stored_scenes, town_scene, write_scene
+from warpav.scene import _stored_scene as module
+from warpav.scene.town._vehicle_shapes import ego_mesh
 
 SEEDS = (0, 7, 500)
 
@@ -28,7 +24,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from warpav.scene.stored_scene import SceneRecipe, stored_scenes
+from warpav.scene._stored_scene import SceneRecipe, stored_scenes
 
 def half(stream, record, **_):
     stream.write(record.tobytes()[:100_000])

@@ -10,13 +10,8 @@ from hypothesis import strategies as st
 
 from tests.scene.town.test_town import _rectangle, _rectangles_overlap
 from tests.view.stand_ins import scene, vehicle
-from warpav.scene.cache import built_scenes
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.scene import Box
-from warpav.scene.stored_scene import SceneRecipe, StoredScene
-from warpav.scene.town.levels import TownSource
-from warpav.scene.town.town import town_scene
+from warpav.scene import Box, DeviceScene, SceneRecipe, StoredScene, TownSource, read_scene, town_scene, write_scene
+from warpav.scene._cache import built_scenes
 
 LOW_M, HIGH_M = np.array([-1.0, -1.0]), np.array([3.0, 1.0])
 

@@ -6,16 +6,9 @@ import trimesh
 
 import warpav as wa
 from warpav.raster.mesh import Mesh
-from warpav.scene.mesh_colours import simulator_model
-from warpav.scene.own_vehicle import (
-    Reading,
-    examine,
-    is_plausible,
-    read_vehicle_file,
-    wheels_of,
-)
-from warpav.scene.town.vehicle_shapes import vehicle_mesh
-from warpav.scene.vehicles import vehicle_file
+from warpav.scene import Reading, examine, read_vehicle_file, vehicle_file, vehicle_mesh
+from warpav.scene._mesh_colours import simulator_model
+from warpav.scene._own_vehicle import is_plausible, wheels_of
 
 # length, width, height [m]; forward; unit, of the folder's README
 DOWNLOADED = {

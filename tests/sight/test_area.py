@@ -10,7 +10,8 @@ from matplotlib.path import Path
 
 from tests.raster.bodies import cuboid
 from warpav.core.errors import InputError
-from warpav.sight.requirement import SIZES_M, Band, Body, Ghosts, Polygon, Requirement, Strip, TestObject, grid_m
+from warpav.sight import Body, Ghosts, Requirement
+from warpav.sight._requirement import SIZES_M, Band, Polygon, Strip, TestObject, grid_m
 
 POST = TestObject("post", SIZES_M["post"])
 
@@ -74,6 +75,6 @@ def test_no_test_object_reaches_under_the_body():
 def test_an_area_without_points_or_with_too_many_is_rejected(monkeypatch):
     with pytest.raises(InputError, match="requirement under: expected at least one point of the area outside"):
         Ghosts.of([Requirement("under", Strip("rear", (-1.0, -0.5)), 0.25, POST)], box())
-    monkeypatch.setattr("warpav.sight.requirement.MAX_GHOSTS", 1000)
+    monkeypatch.setattr("warpav.sight._requirement.MAX_GHOSTS", 1000)
     with pytest.raises(InputError, match=r"at most 1000 points together, got 2032; choose wider grids"):
         Ghosts.of([Requirement("all", Band((0.0, 3.0)), 0.25, POST)] * 2, box())

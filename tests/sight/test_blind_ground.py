@@ -9,10 +9,10 @@ from tests.driving_scene import SKY, block, ego_mesh, ground
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import merge
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
-from warpav.sight.ground import DISTANCE_EDGES_M, SECTORS, BlindGround, Ground
+from warpav.rig import Rig, RigCamera
+from warpav.scene import DeviceScene, Scene
+from warpav.sight import BlindGround, Ground
+from warpav.sight._ground import DISTANCE_EDGES_M, SECTORS
 
 
 def scene_with(rng, *blocks):

@@ -10,8 +10,8 @@ import pytest
 import warpav as wa
 from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
-from warpav.sight.check import Gap
-from warpav.sight.requirement import SECTORS, SIZES_M, Band, Requirement, Strip, TestObject
+from warpav.sight import SECTORS, Gap, Requirement
+from warpav.sight._requirement import SIZES_M, Band, Strip, TestObject
 
 POST = TestObject("post", SIZES_M["post"])
 EGO = box((4.0, 2.0, 1.5), (1.0, 0.0, 0.75))

@@ -10,11 +10,9 @@ from tests.driving_scene import SKY, block, ego_mesh, ground, street
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.rig import RigCamera
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
-from warpav.sight.ground import Ground
-from warpav.sight.sight import free_shares
+from warpav.rig import RigCamera
+from warpav.scene import DeviceScene, Scene
+from warpav.sight import Ground, free_shares
 
 WIDE = CameraModel(360, 180, 2.0 * math.pi, lens=Lens.PANORAMA)
 EYE_M = np.array([1.35, 0.0, 2.5])

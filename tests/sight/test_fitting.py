@@ -8,16 +8,9 @@ import trimesh
 
 from tests.view.stand_ins import block, ego, rig
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
-from warpav.sight.around import (
-    NearField,
-    SectorCounts,
-    VisibleGround,
-    px_per_degree,
-    size_ranges_m,
-    upright_px,
-)
-from warpav.sight.requirement import Body
+from warpav.rig import Rig, RigCamera
+from warpav.sight import Body, NearField, SectorCounts, VisibleGround, px_per_degree, size_ranges_m
+from warpav.sight._around import upright_px
 
 HIGH = block((-0.5, -0.5, 0.1), (0.5, 0.5, 0.2), (90, 95, 100))  # a body that hides next to nothing
 

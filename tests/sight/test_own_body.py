@@ -10,10 +10,9 @@ from embreex.rtcore_scene import EmbreeScene
 from tests.driving_scene import SKY, block, ego_mesh, ground, street
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
-from warpav.sight.around import body_shares
+from warpav.rig import Rig, RigCamera
+from warpav.scene import DeviceScene, Scene
+from warpav.sight import body_shares
 
 
 def scene_around(ego, environment=None):

@@ -7,8 +7,9 @@ import pytest
 import trimesh
 
 from warpav.core.errors import InputError
-from warpav.sight.read import read_requirements, template_names
-from warpav.sight.requirement import SIZES_M, Band, Polygon, Strip
+from warpav.sight import read_requirements
+from warpav.sight._read import template_names
+from warpav.sight._requirement import SIZES_M, Band, Polygon, Strip
 
 POST = "area: {around_m: [0, 5]}, grid_m: 0.5, object: post"
 

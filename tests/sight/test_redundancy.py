@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpav.sight.sight import probability_of_at_least, redundancy
+from warpav.sight import redundancy
+from warpav.sight._sight import probability_of_at_least
 
 
 @pytest.mark.parametrize("cameras", [0, 1, 2, 3, 5])

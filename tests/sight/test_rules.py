@@ -11,21 +11,18 @@ from tests.driving_scene import street
 from tests.raster.bodies import cuboid
 from tests.rig.test_camera_body import looking, share_by_rays
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig
-from warpav.sight.rules import (
+from warpav.rig import Rig
+from warpav.sight import (
     AZIMUTH_STEP_RAD,
     NEAR_M,
-    SECTORS,
-    OwnBody,
     RuleCheck,
     Rules,
     border_margin,
     crossing_angle_rad,
     horizon_margin,
-    housing_shares,
     ring_m,
-    widest_gap,
 )
+from warpav.sight._rules import SECTORS, OwnBody, housing_shares, widest_gap
 
 MODEL = CameraModel(96, 64, math.radians(90.0))
 
@@ -132,7 +129,7 @@ def test_one_limit_of_the_own_body_is_kept_without_the_other():
 def test_housings_hide_and_meet():
     front, behind, beside = looking([1.0, 0.0, 1.7]), looking([0.5, 0.0, 1.7]), looking([0.5, 0.06, 1.7], 90.0)
     views, models = poses(front, behind, beside)
-    from warpav.rig.module import PLAIN_HOUSING
+    from warpav.rig import PLAIN_HOUSING
 
     share, meets = housing_shares(views, models, [PLAIN_HOUSING] * 3)
     assert share[1, 0] > 0.005

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.rig.rig import RigCamera
-from warpav.scene.town.town import town_scene
-from warpav.sight.read import read_requirements
-from warpav.sight.requirement import SIZES_M, Ghosts, Polygon, Requirement, TestObject
-from warpav.sight.visibility import GhostWorld, whole_solid_angle_sr
+from warpav.rig import RigCamera
+from warpav.scene import town_scene
+from warpav.sight import Ghosts, GhostWorld, Requirement, read_requirements
+from warpav.sight._requirement import SIZES_M, Polygon, TestObject
+from warpav.sight._visibility import whole_solid_angle_sr
 
 MODEL = CameraModel(640, 480, math.radians(90.0))
 FISHEYE = CameraModel(640, 480, math.radians(180.0), lens=Lens.FISHEYE, distortion=(0.0, 0.0, 0.0, 0.0))

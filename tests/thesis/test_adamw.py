@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.oracle import thesis
-from warpav.thesis.descent import AdamW
+from warpav.thesis import AdamW
 
 STEPS = 60
 

@@ -5,7 +5,7 @@ import sys
 
 CHECK = """
 import sys
-import warpav.cli.app, warpav.runs.jobs, warpav.runs.optimise, warpav.runs.placement, warpav.optimisation.rivals
+import warpav.cli.app, warpav.runs._jobs, warpav.runs._optimise, warpav.runs._placement, warpav.optimisation._rivals
 print([name for name in sys.modules if name.startswith(("warpav.thesis", "warpav_kernels.thesis"))])
 """
 

@@ -13,14 +13,12 @@ from tests.optimisation.objectives import OneScene, rig_objective
 from tests.oracle import closed_forms, thesis
 from tests.raster.bodies import cuboid, edges_of, scene_of
 from tests.thesis.test_losses import THESIS_LOSSES, differences, placement_losses
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.settings import LossSettings
+from warpav.optimisation import X_M, Y_M, YAW_RAD, AssignedScene, CameraMount, LossSettings
 from warpav.raster.areas import AMODAL_AREA, MEASURE_COUNT
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene import DeviceScene
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 SURFACE = flat_surface([-1.0, -1.0], [1.0, 1.0], height_m=1.5)

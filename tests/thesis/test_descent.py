@@ -13,18 +13,24 @@ from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import thesis
 from warpav.core.errors import InputError
-from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.detection import DetectionProbability
+from warpav.optimisation import (
+    X_M,
+    Y_M,
+    YAW_RAD,
+    AssignedScene,
+    CameraMount,
+    Evaluation,
+    LossSchedule,
+    LossSettings,
+    NotFiniteError,
+    OptimiserSettings,
+    ZoneAndSpacing,
+)
 from warpav.optimisation.losses._lagrangian import lagrangian_of
-from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import Evaluation
-from warpav.optimisation.records import NotFiniteError
-from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
-from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.descent import Descent, MultiplierAscent, affordable_iterations, descent_camera_renders
+from warpav.thesis import BoundsAndSpacing, Descent, affordable_iterations, descent_camera_renders
+from warpav.thesis._descent import MultiplierAscent
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0, 0.0, 0.0]])

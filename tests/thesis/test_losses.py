@@ -12,13 +12,11 @@ from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
+from warpav.optimisation import CameraMount, LossOptions, Reference, SceneOnTape, losses_of
 from warpav.optimisation.losses._lagrangian import lagrangian_of
-from warpav.optimisation.losses.loss import LossOptions, Reference, losses_of
-from warpav.optimisation.losses.scene_on_tape import SceneOnTape
-from warpav.optimisation.mount import CameraMount
 from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, MEASURE_COUNT, RIGHT, VISIBLE_AREA, Measures
 from warpav.raster.camera import CameraModel
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis import BoundsAndSpacing
 
 WIDTH, HEIGHT = 32, 8
 THESIS_LOSSES = ("in_frame_rotation", "detected_area", "surface_blockage", "object_visibility", "angular_coverage")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import packed_street
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation import AssignedScene
 from warpav.raster.camera import CameraModel
-from warpav.thesis.segregation import BatchChooser, areas_around, cameras_of, choose_orientations
+from warpav.thesis import BatchChooser, areas_around, cameras_of, choose_orientations
 
 MODEL = CameraModel(48, 48, math.pi / 2)
 ORIGIN = np.array([1.2, 0.0, 1.0])

@@ -9,13 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tests.driving_scene import roof
-from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import Evaluation
-from warpav.optimisation.space import SearchSpace
+from warpav.optimisation import X_M, Y_M, YAW_RAD, CameraMount, Evaluation, SearchSpace, highest_mount_pose
 from warpav.raster.camera import CameraModel
-from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.starts import _HIGHEST_TURNS, _first_rigs, evaluate_starts, exchange_cameras
+from warpav.thesis import BoundsAndSpacing, evaluate_starts
+from warpav.thesis._starts import _HIGHEST_TURNS, _first_rigs, exchange_cameras
 
 MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
 SPACE = SearchSpace.over(MOUNT, 3, constraints=BoundsAndSpacing(MOUNT.surface))

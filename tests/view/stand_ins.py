@@ -8,8 +8,8 @@ from PIL import Image
 
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.rig import Rig, RigCamera
+from warpav.scene import Box, Scene, Vehicle
 from warpav.view import opengl_problem
 
 needs_opengl = pytest.mark.skipif(opengl_problem() is not None, reason=f"no OpenGL: {opengl_problem()}")

@@ -11,9 +11,9 @@ import pytest
 
 from tests.view.stand_ins import block, ego, rig, scene, vehicle
 from warpav.core.errors import InputError
-from warpav.rig.rig import Rig
-from warpav.scene.scene import Box, Sky, Vehicle
-from warpav.view import blocks
+from warpav.rig import Rig
+from warpav.scene import Box, Sky, Vehicle
+from warpav.view import _blocks as blocks
 
 pyvista = pytest.importorskip("pyvista")
 

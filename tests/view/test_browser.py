@@ -19,8 +19,8 @@ from tests.runs.report.chromium import Chromium, find_chromium
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig.rig import read_rig, write_rig
-from warpav.scene.glb import write_scene
+from warpav.rig import read_rig, write_rig
+from warpav.scene import write_scene
 from warpav.view import _browser as module
 from warpav.view._inspector import TURN_DEG
 from warpav.view._palette import camera_rgb

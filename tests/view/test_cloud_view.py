@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import block, needs_opengl
-from warpav.scene.reconstruction.point_cloud import PointCloud
-from warpav.scene.scene import Box
+from warpav.scene import Box, PointCloud
 from warpav.view._palette import camera_rgb
 from warpav.view.figures._clouds import Viewpoint, cloud_image
 

@@ -7,11 +7,10 @@ import pytest
 
 from tests.view.stand_ins import ego, near, pixels, rig
 from warpav.core.errors import InputError
-from warpav.detection.detector import Detections
-from warpav.optimisation.evaluation.metrics import CameraObservation
-from warpav.optimisation.further_camera import FurtherCameras
-from warpav.rig.mount_surface import MountSurface
-from warpav.rig.rig import Rig
+from warpav.detection import Detections
+from warpav.optimisation import CameraObservation, FurtherCameras
+from warpav.rig import MountSurface, Rig
+from warpav.view import detections_sheet, further_figure, loss_figure, search_figure, top_view_figure
 from warpav.view._palette import (
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,
@@ -20,8 +19,7 @@ from warpav.view._palette import (
     camera_rgb,
     further_map,
 )
-from warpav.view.figures import detections_sheet, further_figure, top_view_figure
-from warpav.view.figures._convergence import _running_mean, loss_figure, search_figure
+from warpav.view.figures._convergence import _running_mean
 from warpav.view.figures._style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 
 

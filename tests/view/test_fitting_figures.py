@@ -9,12 +9,12 @@ import pytest
 from tests.view.golden import DIFFERENCE_MAX, difference, same_text
 from tests.view.stand_ins import ego, rig, scene, vehicle
 from warpav.core.errors import InputError
-from warpav.detection.probability import DetectionProbability
+from warpav.detection import DetectionProbability
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.scene import Scene
+from warpav.rig import Rig, RigCamera
+from warpav.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
-from warpav.view.figures import around
+from warpav.view.figures import _around as around
 from warpav.view.figures._from_above import camera_handles, ring_radii_m
 from warpav.view.figures._style import new_figure, short_names
 
@@ -195,7 +195,7 @@ def test_cameras_of_all_lenses_are_drawn(street):
 
 
 def test_a_vehicle_is_asked_for_before_anything_is_computed(tmp_path, monkeypatch, street):
-    monkeypatch.setattr("warpav.view.figures.plan.size_ranges_m", lambda *_a, **_k: pytest.fail("computed"))
+    monkeypatch.setattr("warpav.view.figures._plan.size_ranges_m", lambda *_a, **_k: pytest.fail("computed"))
     with pytest.raises(InputError, match="ego: expected the vehicle for kind='plan', got none; give ego="):
         plot(rig(), kind="plan", out=tmp_path / "x.png")
     with pytest.raises(InputError, match="scene: expected the scene for kind='contact', got none"):

@@ -8,18 +8,14 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
-from warpav.optimisation.evaluation.metrics import RigObserver
-from warpav.optimisation.further_camera import FurtherCameras
-from warpav.optimisation.objective import ObjectiveOptions
+from warpav.optimisation import FurtherCameras, ObjectiveOptions, RigObserver
 from warpav.raster.decide import Occlusion
-from warpav.rig.catalogue import builtin_modules
-from warpav.rig.rig import Rig, read_rig
-from warpav.sight.check import check_requirements
-from warpav.sight.ground import PATCH_M, Ground
-from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
-from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.view import Canvas, InspectedRig, Inspector, opengl_problem
-from warpav.view._layers import _ARROW_M, _GAIN_TITLE, Steepest
+from warpav.rig import Rig, builtin_modules, read_rig
+from warpav.sight import PATCH_M, Ground, Requirement, check_requirements
+from warpav.sight._requirement import SIZES_M, Band, TestObject
+from warpav.thesis import BoundsAndSpacing
+from warpav.view import Canvas, InspectedRig, Inspector, Steepest, opengl_problem
+from warpav.view._layers import _ARROW_M, _GAIN_TITLE
 from warpav.view._palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
 from warpav.view._picture import project_px
 

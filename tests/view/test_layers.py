@@ -8,32 +8,24 @@ import pytest
 
 from tests.driving_scene import flat_surface
 from tests.view.stand_ins import block, ego, needs_opengl, rig, scene, vehicle
-from warpav.optimisation.evaluation.metrics import ObjectOutcome
-from warpav.optimisation.further_camera import PLACE_M, FurtherCameras
+from warpav.optimisation import PLACE_M, FurtherCameras, ObjectOutcome
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.rig.catalogue import builtin_modules
-from warpav.rig.chart import chart_of
-from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.rig.rig import Rig, RigCamera
-from warpav.rig.zone import NORMALS, Zone
-from warpav.scene.device_scene import DeviceScene
-from warpav.sight.check import check_requirements
-from warpav.sight.ground import Ground
-from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
+from warpav.rig import NORMALS, MountSurface, Rig, RigCamera, Zone, builtin_modules, chart_of, mount_surface_from_mesh
+from warpav.scene import DeviceScene
+from warpav.sight import Ground, Requirement, check_requirements
+from warpav.sight._requirement import SIZES_M, Band, TestObject
+from warpav.view import Steepest, load_pyvista, plot, render_rgb
 from warpav.view import _layers as layers
-from warpav.view import plot, render_rgb
 from warpav.view._layers import (
     _GAIN_TITLE,
     _LONGEST_M,
     _WIDEST_RAD,
     WHOLE,
-    Steepest,
     _zone_names,
     gain_to_pyvista,
     zones_to_pyvista,
 )
-from warpav.view._opengl import load_pyvista
 from warpav.view._palette import COVERAGE_RGB, OUTCOME_RGB, zone_rgb
 from warpav.view._picture import project_px
 

@@ -84,7 +84,7 @@ def test_opengl_without_a_driver_is_a_message_and_no_crash(tmp_path, window):
 def test_data_needs_no_opengl(tmp_path):
     code = (
         "from tests.view.stand_ins import ego, rig, scene\n"
-        "from warpav.view import accessor, blocks\n"
+        "from warpav.view import accessor, _blocks as blocks\n"
         "from warpav.view import opengl_problem\n"
         "assert opengl_problem() is not None\n"
         "street = scene().to_pyvista()\n"

@@ -8,7 +8,7 @@ import pytest
 from tests.view.stand_ins import block, ego
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.rig import RigCamera
+from warpav.rig import RigCamera
 from warpav.view._outlines import (
     STEP_M,
     bearing_sector_rad,

@@ -11,9 +11,9 @@ from PIL import Image
 
 from tests.view.stand_ins import ego, needs_opengl, rig
 from warpav.core.errors import InputError
-from warpav.view import Picture, rig_plotter
+from warpav.view import Canvas, Picture, rig_plotter
 from warpav.view import _output as output
-from warpav.view._output import Animation, Canvas
+from warpav.view._output import Animation
 
 
 @pytest.fixture

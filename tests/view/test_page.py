@@ -10,8 +10,8 @@ from PIL import Image
 from tests.runs.report.chromium import Chromium, find_chromium
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
-from warpav.scene.device_scene import DeviceScene
-from warpav.sight.ground import Ground
+from warpav.scene import DeviceScene
+from warpav.sight import Ground
 from warpav.view import Canvas, Picture, add_coverage, add_range_rings, patch_words, rig_plotter, save_page
 from warpav.view import _page as module
 

@@ -6,10 +6,9 @@ import pytest
 from tests.view.conftest import WINDOW_PX
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
-from warpav.rig.mount_surface import MountSurface
+from warpav.rig import MountSurface
 from warpav.view import _picture as picture
-from warpav.view import render_rgb
-from warpav.view._opengl import load_pyvista
+from warpav.view import load_pyvista, render_rgb
 from warpav.view._outlines import frustum_points
 from warpav.view._palette import camera_rgb
 

@@ -10,12 +10,11 @@ from tests.view.stand_ins import ego, needs_opengl, pixels, rig, scene, vehicle
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.raster.mesh import Mesh
-from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.rig.rig import Rig
-from warpav.scene.scene import Scene
-from warpav.view import Canvas, drawing_of, draws, kinds_of, plot
-from warpav.view._output import ANIMATION_PX, Animation
-from warpav.view._picture import Picture, project_px, rig_plotter
+from warpav.rig import Rig, mount_surface_from_mesh
+from warpav.scene import Scene
+from warpav.view import ANIMATION_PX, Canvas, Picture, drawing_of, draws, kinds_of, plot, rig_plotter
+from warpav.view._output import Animation
+from warpav.view._picture import project_px
 
 SMALL = (160, 100)
 

@@ -17,12 +17,12 @@ from tests.driving_scene import flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.detection.images import render
+from warpav.detection import render
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
+from warpav.view import own_body_tinted, run_animation, write_recording
 from warpav.view._palette import camera_rgb
-from warpav.view._recording import _TIMELINE, _shown_iterations, run_animation, write_recording
-from warpav.view.figures import own_body_tinted
+from warpav.view._recording import _TIMELINE, _shown_iterations
 
 FISHEYE = RigCamera(
     "wide", np.array([1.0, 1.0, 1.0]), 1.5, 0.3, 0.0, CameraModel(128, 96, math.radians(190.0), lens="fisheye")

@@ -9,9 +9,10 @@ from PIL import Image
 import warpav as wa
 from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
-from warpav.sight.requirement import SIZES_M, Band, Polygon, Requirement, TestObject
+from warpav.sight import Requirement
+from warpav.sight._requirement import SIZES_M, Band, Polygon, TestObject
+from warpav.view import requirement_map
 from warpav.view._palette import COVERAGE_RGB
-from warpav.view.figures.around import requirement_map
 
 
 def count_of(image, rgb):

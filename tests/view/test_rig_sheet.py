@@ -9,15 +9,10 @@ from tests.view.stand_ins import ego, rig, scene
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
 from warpav.view import plot
 from warpav.view._outlines import seen_ground_m
-from warpav.view.figures._rig_sheet import (
-    _field_of_view_rad,
-    _horizontal_arcs_rad,
-    _vertical_arcs_rad,
-    rig_sheet,
-)
+from warpav.view.figures._rig_sheet import _field_of_view_rad, _horizontal_arcs_rad, _vertical_arcs_rad, rig_sheet
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
 

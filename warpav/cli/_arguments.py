@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from warpav.core.errors import InputError, one_line, printable
+from warpav.rig import EXPORTED_ONLY, IMPORTED_ONLY, RIG_FORMATS
 
 if TYPE_CHECKING:
     from warpav.runs.config import Config as Settings
@@ -25,8 +26,8 @@ FileFormat = Annotated[
     str,
     Parameter(
         name="--format",
-        help="nuscenes, argoverse2, urdf, autoware, carla-ros-bridge, carla-python, kitti, opencv, alpasim; kalibr "
-        "(import), camera-info (export).",
+        help=f"{', '.join(name for name in RIG_FORMATS if name not in (*IMPORTED_ONLY, *EXPORTED_ONLY))}; "
+        f"{', '.join(IMPORTED_ONLY)} (import), {', '.join(EXPORTED_ONLY)} (export).",
     ),
 ]
 FileOrigin = Annotated[

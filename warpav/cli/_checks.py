@@ -35,7 +35,7 @@ def _config_show(
 @config_app.command(name="check")
 def _config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Check a configuration, and name everything that is wrong with it."""
-    from warpav.runs.placement import Placement
+    from warpav.runs import Placement
 
     with configured(config, overrides) as settings:
         Placement.from_config(settings)
@@ -91,7 +91,7 @@ def _modules_list(
 
     Field of view and pixels per degree are those of the image that the network gets.
     """
-    from warpav.rig.catalogue import builtin_modules, module_table, read_modules
+    from warpav.rig import builtin_modules, module_table, read_modules
 
     say(*module_table(builtin_modules() if file is None else read_modules(file)).splitlines())
 
@@ -102,7 +102,7 @@ def _modules_check(file: Annotated[Path, Parameter(help="Catalogue, YAML.")], /)
 
     Status 0: every module can be used; 2: something has to be corrected.
     """
-    from warpav.rig.catalogue import read_modules
+    from warpav.rig import read_modules
 
     modules = read_modules(file)
     say(f"{file}: {len(modules)} module{'' if len(modules) == 1 else 's'}, no problems")
@@ -134,7 +134,7 @@ def bench(
     sweep: Annotated[bool, Parameter(help="Measure W1 with supersampling x1, x2, x4 and x8 as well.")] = False,
 ) -> None:
     """Measure the renderer on a benchmark, score its gradient, and set it beside other renderers."""
-    from warpav.experiments.bench.run import BenchOptions, run_bench
+    from warpav.experiments import BenchOptions, run_bench
     from warpav.runs import RunDisplay
 
     with RunDisplay() as display:

@@ -31,7 +31,7 @@ def detector_check(
     config: Config = DEFAULT_CONFIG,
 ) -> None:
     """Report how warpav reads a detector's file, which labels count, where it runs and how fast, and try it."""
-    from warpav.runs.detector_check import check_detector
+    from warpav.runs import check_detector
 
     with configured(config, overrides) as settings:
         for line in check_detector(file, settings, image_file=image, out=out):
@@ -52,9 +52,8 @@ def detector_fit(
     ] = False,
 ) -> None:
     """Fit the probability that the detector finds an object to what a view shows of it; a stored fit is used again."""
-    from warpav.runs import RunDisplay
+    from warpav.runs import RunDisplay, fit_detector
     from warpav.runs.config import read_seeds
-    from warpav.runs.detector_fit import fit_detector
 
     chosen = [
         None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
@@ -92,9 +91,8 @@ def _detector_score(
     out: Annotated[Path | None, Parameter(help="Folder for scores.json, scores.md and reliability diagrams.")] = None,
 ) -> None:
     """Measure how well the fitted detection probability holds on other scenes, of any level or source."""
-    from warpav.runs import RunDisplay, check_panel_options
+    from warpav.runs import RunDisplay, check_panel_options, score_detectors
     from warpav.runs.config import read_seeds
-    from warpav.runs.detector_fit import score_detectors
 
     if panel is not None:
         check_panel_options(overrides)
@@ -113,7 +111,7 @@ def _detector_evaluate(
     config: Config = DEFAULT_CONFIG,
 ) -> None:
     """Measure how well the detector finds road users in held-out town scenes, direct and reconstructed."""
-    from warpav.runs.detector_training import measure_detector
+    from warpav.runs import measure_detector
 
     with configured(config, overrides) as settings:
         measure_detector(settings, out, image_folder=image_folder, processes=processes, image_count=images, say=say)
@@ -135,7 +133,7 @@ def _detector_train(
     ] = (),
 ) -> None:
     """Train the shipped detector on images of town scenes; the same command resumes an interrupted training."""
-    from warpav.runs.detector_training import train_detector
+    from warpav.runs import train_detector
 
     options = {"device": device, "processes": processes, "steps": steps, "batch_size": batch_size, "seed": seed}
     options |= {"stop_after_minutes": stop_after_minutes, "recordings": recordings}

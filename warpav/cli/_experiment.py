@@ -77,8 +77,7 @@ def experiment(
     from dataclasses import replace
 
     from warpav.core.errors import ArgumentError
-    from warpav.experiments.experiment import run_study
-    from warpav.experiments.study import find_study
+    from warpav.experiments import find_study, run_study
     from warpav.runs import RunDisplay
     from warpav.runs.config import placed_config
 
@@ -114,7 +113,7 @@ def _experiment_rescore(
     Such as detector.model=FILE.onnx camera.width_px=640 camera.height_px=640, or scenes.source=captured. Prints the
     same table; writes to FOLDER/rescored_NAME. With --panel every network of a folder judges.
     """
-    from warpav.experiments.rescore import (
+    from warpav.experiments import (
         check_rescored_options,
         config_file,
         folder_name,
@@ -149,7 +148,7 @@ def _experiment_results(
     """Join the rows of studies in one file, or fill the tables of a page: <!-- rows: arms open --> <!-- end -->."""
     from warpav.core.errors import InputError
     from warpav.core.files import write_text
-    from warpav.experiments.rows import ROWS, filled_page, read_rows, write_rows
+    from warpav.experiments import ROWS, filled_page, read_rows, write_rows
 
     if not folders:
         raise InputError("experiment results: expected folders of studies such as runs/open, got none")

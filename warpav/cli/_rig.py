@@ -26,7 +26,7 @@ rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; wha
 @rig_app.command(name="presets")
 def _rig_presets() -> None:
     """List the rigs that ship with warpav, with their sources."""
-    from warpav.rig.presets import preset_about, preset_names, preset_rig
+    from warpav.rig import preset_about, preset_names, preset_rig
 
     for name in preset_names():
         about = preset_about(name)
@@ -56,8 +56,7 @@ def _rig_import(
     overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
     """Make a rig YAML of another tool's file, and say in which frame it was read."""
-    from warpav.rig.formats.convert import ImportOptions, check_target, import_rig_with_notes
-    from warpav.rig.rig import rig_text, write_rig
+    from warpav.rig import ImportOptions, check_target, import_rig_with_notes, rig_text, write_rig
 
     if out is not None:
         check_target(out, overwrite=overwrite)
@@ -89,7 +88,7 @@ def _rig_export(
     overwrite: Annotated[bool, Parameter(help="Replace files that are there.", negative="")] = False,
 ) -> None:
     """Write a rig for another tool."""
-    from warpav.rig.formats.convert import export_rig_with_notes
+    from warpav.rig import export_rig_with_notes
     from warpav.runs import rig_to_export
 
     files, notes = export_rig_with_notes(
@@ -115,8 +114,7 @@ def _rig_check(
     ] = False,
 ) -> int:
     """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""
-    from warpav.rig.check import description, mirrored_cameras, oddities
-    from warpav.rig.formats.convert import formats_for
+    from warpav.rig import description, formats_for, mirrored_cameras, oddities
     from warpav.runs import is_run_folder, rig_to_export
 
     found = rig_to_export(rig)
@@ -154,7 +152,7 @@ def _rig_requirements(
 
     Status 0 whether or not they are met. Templates are no proof of compliance with a regulation.
     """
-    from warpav.runs.evaluate import check_rig
+    from warpav.runs import check_rig
 
     with of_rig(rig, config, overrides) as settings:
         for line in check_rig(rig, settings, requirements=requirements, json_file=json, image=image):
@@ -177,7 +175,7 @@ def _rig_drawing(
 ) -> None:
     """Draw a rig on its vehicle for the workshop: three views to scale, coordinates from datums, angles, a table."""
     from warpav.core.errors import install_text
-    from warpav.runs.inspect import write_mount_drawing
+    from warpav.runs import write_mount_drawing
 
     with of_rig(rig, config, overrides) as settings:
         files = write_mount_drawing(rig, settings, out)

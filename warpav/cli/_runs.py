@@ -71,8 +71,7 @@ def optimise(
             f"{find_config(config).name}: {scenes.search_scene_count} scenes to search on, {len(scenes.test_seeds)} to "
             f"compare on, {settings.device}"
         )
-        from warpav.runs import worse_than_start
-        from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
+        from warpav.runs import optimise_rig, resume_rig, worse_than_start  # a second of imports, after the first line
         from warpav.runs.report.tables import next_commands, show_everything, show_run
 
         gc.freeze()  # what was imported stays: collections need not look at it again
@@ -101,10 +100,8 @@ def front(
     ] = None,
 ) -> None:
     """Find the best rig of every number of cameras (rig.cameras=2..8) or of every cost."""
-    from warpav.runs import RunDisplay
-    from warpav.runs.front import FRONT_FILE
-    from warpav.runs.front import front as find_front
-    from warpav.runs.placement import Placement
+    from warpav.runs import FRONT_FILE, Placement, RunDisplay
+    from warpav.runs import front as find_front
 
     if (out / FRONT_FILE).exists():  # before anything takes long
         raise ArgumentError("out", f"expected a folder without {FRONT_FILE}, got one that has it", place=out)
@@ -143,8 +140,7 @@ def evaluate(
     verbose: Verbose = False,
 ) -> None:
     """Measure a rig on the test scenes."""
-    from warpav.runs import RunDisplay
-    from warpav.runs.jobs import measure_rig, posed_otherwise
+    from warpav.runs import RunDisplay, measure_rig, posed_otherwise
     from warpav.runs.report.tables import show_everything, show_run
 
     part, loads = posed_otherwise(soiling, load)
@@ -164,7 +160,7 @@ def render(
     config: RigConfig = None,
 ) -> None:
     """Render what every camera of a rig sees: colours, objects, depth, cameras."""
-    from warpav.runs.inspect import render_rig
+    from warpav.runs import render_rig
 
     with of_rig(rig, config, overrides) as settings:
         folder = render_rig(scene, rig, settings, out, overrides)
@@ -211,8 +207,7 @@ def inspect(
     config: RigConfig = None,
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
-    from warpav.runs import RunDisplay
-    from warpav.runs.inspect import inspect_rig, no_window_text
+    from warpav.runs import RunDisplay, inspect_rig, no_window_text
 
     with of_rig(run_or_rig, config, overrides) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
@@ -234,7 +229,7 @@ def view(
     config: RigConfig = None,
 ) -> None:
     """View a rig in a browser: the inspector, served to this machine only, or a page that stands alone."""
-    from warpav.runs.inspect import serve_inspector, write_inspector_page
+    from warpav.runs import serve_inspector, write_inspector_page
 
     is_scene = source.lower().endswith(".glb")
     shown, scene = (rig, Path(source)) if is_scene else (source, None)
@@ -278,8 +273,7 @@ def plot(
     config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
-    from warpav.runs import RunDisplay
-    from warpav.runs.inspect import asked_plots, draw_plots
+    from warpav.runs import RunDisplay, asked_plots, draw_plots
 
     asked = asked_plots(rig_or_run, kind=kind, out=out, beside=beside or ())
     with of_rig(rig_or_run, config, overrides) as settings, RunDisplay() as display:
@@ -302,8 +296,7 @@ def report(
 
     folder = RunFolder.open(run)
     if full:
-        from warpav.runs import RunDisplay
-        from warpav.runs.run_figures import RunPictures
+        from warpav.runs import RunDisplay, RunPictures
 
         with RunDisplay() as display:
             RunPictures.of_folder(folder, display).draw(display, full=True)

@@ -64,7 +64,7 @@ def _scenes_make(
     workers: Workers = None,
 ) -> int:
     """Build embedded street scenes and write each as a GLB file; what is there already stays."""
-    from warpav.runs.scenes import build_scenes, chosen_fleet
+    from warpav.runs import build_scenes, chosen_fleet
 
     fleet = chosen_fleet(vehicles, vehicles_share)
     return build_scenes(seeds_of(seeds, count), out, level=level, fleet=fleet, executor=_tasks(executor, workers))
@@ -88,7 +88,7 @@ def _scenes_traffic(
     workers: Workers = None,
 ) -> int:
     """Build scenes of recorded traffic and write each as a GLB file; what is there already stays."""
-    from warpav.runs.scenes import build_traffic_scenes, chosen_fleet
+    from warpav.runs import build_traffic_scenes, chosen_fleet
 
     fleet = chosen_fleet(vehicles, vehicles_share)
     return build_traffic_scenes(
@@ -112,8 +112,8 @@ def _scenes_capture(
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Take colour, depth and instance images of situations; interrupted captures go on."""
+    from warpav.runs import record_scenes
     from warpav.runs.config import placed_config
-    from warpav.runs.scenes import record_scenes
 
     with placed_config(config, overrides) as settings:
         return record_scenes(
@@ -136,8 +136,8 @@ def _scenes_reconstruct(
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Make scenes of captures: point clouds, triangle meshes, colours."""
+    from warpav.runs import reconstruct_scenes
     from warpav.runs.config import placed_config
-    from warpav.runs.scenes import reconstruct_scenes
 
     with placed_config(config, overrides) as settings:
         return reconstruct_scenes(settings, captures, out, executor=_tasks(executor, workers))
@@ -146,7 +146,7 @@ def _scenes_reconstruct(
 @scenes_app.command(name="check")
 def _scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
     """Check captures, also those of other simulators and cameras, and name everything that is wrong with them."""
-    from warpav.runs.scenes import check_captures_of
+    from warpav.runs import check_captures_of
 
     count, bad = check_captures_of(captures, complain)
     say(f"{count - bad} of {count} captures are valid")
@@ -164,7 +164,7 @@ def _scenes_show(
     vehicles_share: _VehiclesShare = None,
 ) -> None:
     """Show a scene and list its vehicles."""
-    from warpav.runs.scenes import chosen_fleet, show_scene
+    from warpav.runs import chosen_fleet, show_scene
 
     for line in show_scene(scene, out, level, chosen_fleet(vehicles, vehicles_share)):
         say(line)
@@ -182,7 +182,7 @@ def _scenes_statistics(
 
     Such as scenes.level=dense --seeds 0..39, or scenes.source=folder scenes.folder=FOLDER --seeds 0..9.
     """
-    from warpav.experiments.scene_statistics import scene_statistics
+    from warpav.experiments import scene_statistics
     from warpav.runs import RunDisplay, load_scenes
     from warpav.runs.config import placed_config, read_seeds
 
@@ -215,7 +215,7 @@ def _scenes_figure(
     9: mount surface. 10: trajectories of the cameras without constraints. 11: images before and after optimisation, and
     of test scenes. 12: highest rig. 14 to 16: all colour, depth and instance images.
     """
-    from warpav.experiments.scene_figures import RIG_NUMBERS, draw_figure
+    from warpav.experiments import RIG_NUMBERS, draw_figure
 
     if number not in RIG_NUMBERS:
         if overrides or run or config:
@@ -226,8 +226,8 @@ def _scenes_figure(
         return
     if seed is not None or capture is not None or scenes is not None:
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
-    from warpav.experiments.method_figures import draw_method_figure
-    from warpav.rig.presets import HIGHEST
+    from warpav.experiments import draw_method_figure
+    from warpav.rig import HIGHEST
     from warpav.runs import RunDisplay, RunFolder, config_for
 
     folder = None if run is None else RunFolder.open(run)
@@ -250,7 +250,7 @@ def _scenes_heatmap(
     ] = None,
 ) -> None:
     """Draw where the vehicles of a folder of scenes stand: in all scenes, those to train on, those to test on."""
-    from warpav.experiments.scene_figures import scene_store_heat_maps
+    from warpav.experiments import scene_store_heat_maps
     from warpav.runs.config import read_seeds
 
     chosen = {

@@ -24,7 +24,7 @@ vehicle_app = App(name="vehicle", help="Your own vehicle.")
 @vehicle_app.command(name="list")
 def _vehicle_list() -> None:
     """List the vehicles that ship with warpav, which scenes.ego takes by name, with their sources."""
-    from warpav.runs.vehicle import shipped_vehicles
+    from warpav.runs import shipped_vehicles
 
     for line in shipped_vehicles():
         say(line)
@@ -65,8 +65,8 @@ def _vehicle_check(
 
     Status 0: scenes.ego takes it as it is, or the file of --out; 2: something has to be corrected, and how.
     """
+    from warpav.runs import check_vehicle
     from warpav.runs.config import placed_config
-    from warpav.runs.vehicle import check_vehicle
 
     with placed_config(config, overrides) as settings:
         report = check_vehicle(
@@ -95,8 +95,8 @@ def _vehicle_zones(
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Propose zones anywhere on a body, where cameras may stand, in a YAML file to edit."""
+    from warpav.runs import propose
     from warpav.runs.config import placed_config
-    from warpav.runs.vehicle import propose
 
     with placed_config(config, overrides) as settings:
         for line in propose(file, settings, out=out, image=image):

@@ -84,12 +84,10 @@ def read_text(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> str:
 
 
 def read_json(file: Path, kind: str, *, bytes_max: int = BYTES_MAX, nodes_max: int = NODES_MAX) -> Any:  # noqa: ANN401
-    """The data of a JSON file."""
     return parse_json(read_bytes(file, kind, bytes_max=bytes_max), str(file), kind, nodes_max=nodes_max)
 
 
 def parse_json(content: bytes | str, place: str, kind: str, *, nodes_max: int = NODES_MAX) -> Any:  # noqa: ANN401
-    """The data of a JSON text."""
     text = content if isinstance(content, str) else _text(content, place, kind)
     check_nesting(text, place, nodes_max=nodes_max)
     if "\\u" in text and _HALF_CHARACTER.search(text):
@@ -138,8 +136,6 @@ def parse_xml(
 
 
 class _BoundedBuilder(ElementTree.TreeBuilder):
-    """Builds the tree of a document within bounds."""
-
     def __init__(self, place: str, nodes_max: int, take: _Take) -> None:
         super().__init__()
         self._place, self._nodes_max, self._take = place, nodes_max, take

@@ -23,7 +23,7 @@ from warpav.core.files import DRAFT
 
 _Item = TypeVar("_Item")
 
-IN_USE_S = 3600.0
+_IN_USE_S = 3600.0
 """Other runs may still be using a file that was used so short a time ago; nobody writes one for so long."""
 _FREE_MIN = 0.1
 """Share of the disk that has to be free for what is in use to stay beyond the capacity."""
@@ -78,12 +78,12 @@ def remove_oldest(folder: Path, pattern: str, *, capacity_bytes: int) -> None:
     with contextlib.suppress(OSError):  # another process removes as well
         now = time.time()
         for draft in folder.glob(f"{DRAFT}*"):
-            if now - draft.stat().st_mtime > IN_USE_S:
+            if now - draft.stat().st_mtime > _IN_USE_S:
                 draft.unlink()
         found = [(file.stat(), file) for file in folder.glob(pattern)]
         left = sum(status.st_size for status, _ in found)
         for status, file in sorted(found, key=lambda each: each[0].st_mtime):
-            if left <= capacity_bytes or (now - status.st_mtime < IN_USE_S and _has_room(folder)):
+            if left <= capacity_bytes or (now - status.st_mtime < _IN_USE_S and _has_room(folder)):
                 break
             file.unlink()
             left -= status.st_size
@@ -128,10 +128,20 @@ def _imports(source: str) -> Iterator[str]:
     for line in _IMPORT.finditer(source):
         module, names = line["module"], re.sub(r"#.*|[()]|\bas \w+", "", line["names"] or line["modules"])
         for name in (each.strip() for each in names.replace("\n", ",").split(",")):
-            # what is imported is a module of a package, or something out of a module
-            for found in (module, f"{module}.{name}") if module else (name,):
+            # what is imported is a module of a package, something out of a module, or out of one behind a face
+            for found in (module, f"{module}.{name}", _face(module).get(name, module)) if module else (name,):
                 if name and found.split(".")[0] in _PACKAGES and _source_file(found) is not None:
                     yield found
+
+
+@cache
+def _face(package: str) -> dict[str, str]:
+    """The modules that the names of a package's face come from."""
+    stub = _source_file(package) if package.split(".", maxsplit=1)[0] in _PACKAGES else None
+    if stub is None or not (stub := stub.with_suffix(".pyi")).is_file():
+        return {}
+    lines = re.findall(r"^from (\S+) import (?:\w+ as )?(\w+)$", stub.read_text(encoding="utf-8"), re.MULTILINE)
+    return {name: module for module, name in lines}
 
 
 @cache

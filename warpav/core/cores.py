@@ -27,7 +27,6 @@ _share = Share()
 
 
 def own_share() -> Share:
-    """What this process may use."""
     return _share
 
 
@@ -45,11 +44,11 @@ def take_share(share: Share) -> None:
 def available_cores() -> int:
     """Processor cores that this process may use: of its affinity, its control group and, in a pool, its share."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(each for each in (cores, quota_cores(), _share.cores) if each is not None)
+    return min(each for each in (cores, _quota_cores(), _share.cores) if each is not None)
 
 
 @cache
-def quota_cores(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int | None:
+def _quota_cores(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int | None:
     """Cores that the limits of control groups leave to this process, at least 1; None where there is no limit."""
     found = []
     with contextlib.suppress(OSError):

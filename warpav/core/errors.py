@@ -55,7 +55,6 @@ class ArgumentError(InputError):
     """
 
     def __init__(self, option: str, text: str, *, place: object = None) -> None:
-        """The error."""
         self.option, self.text = option, one_line(text)
         self.place = None if place is None else one_line(str(place))
         super().__init__(f"{'' if place is None else f'{place}: '}{option}: {text}")

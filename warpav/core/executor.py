@@ -30,7 +30,7 @@ _Result = TypeVar("_Result")
 
 _CONNECT_S = 5.0
 """How long a Ray cluster may take to accept a connection [s]."""
-ANSWER_S = 20.0
+_ANSWER_S = 20.0
 """How long a Ray cluster may take to let this program in, the import of ray included [s]; two are usual."""
 _KNOCK_S = 2.0
 """How often the head is knocked at while tasks run [s]."""
@@ -47,15 +47,13 @@ _EXTRA = {"ray": "ray", "submitit": "slurm"}
 
 @dataclass(frozen=True)
 class Outcome(Generic[_Task, _Result]):
-    """What became of a task."""
-
     task: _Task  # the task
     result: _Result | None = None  # its result; None if it failed
     error: str | None = None  # why it failed; None if it did not
     lacks_memory: bool = False  # whether it failed for want of memory, which it may find when fewer run
 
 
-class WorkerKilledError(Exception):
+class _WorkerKilledError(Exception):
     """The process that ran a task ended without an outcome."""
 
 
@@ -71,7 +69,7 @@ class _Workers(Protocol):
         ...
 
     def outcome(self, handle: Any) -> Outcome[Any, Any]:  # noqa: ANN401
-        """The outcome of a task that has ended, whose field ``task`` does not count; or raises `WorkerKilledError`."""
+        """The outcome of a task that has ended, whose field ``task`` does not count; or raises `_WorkerKilledError`."""
         ...
 
     def close(self, handles: Collection[Any]) -> None:
@@ -95,7 +93,6 @@ def _one_line(error: Exception) -> str:
 
 
 def _package(name: str) -> Any:  # noqa: ANN401 (a module that the type checker may not find)
-    """The package ``ray`` or ``submitit``."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -139,7 +136,7 @@ class Processes:
         try:
             return handle.result()
         except BrokenProcessPool:
-            raise WorkerKilledError from None
+            raise _WorkerKilledError from None
 
     def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
         # The pool forgets all of this as it shuts down; it has a method of its own for it from Python 3.14 on.
@@ -286,7 +283,7 @@ class _RayCluster:
         try:
             return self._ray.get(handle)
         except (errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError):
-            raise WorkerKilledError from None
+            raise _WorkerKilledError from None
         except errors.RayError as error:  # it never began: warpav is not installed there, say
             return Outcome(None, error=f"Ray: {_one_line(error)}")
 
@@ -318,10 +315,10 @@ def _check_answers(address: str) -> None:
         knock = [sys.executable, "-c", _KNOCK, address]
         try:
             found = subprocess.run(
-                knock, capture_output=True, text=True, errors="replace", timeout=ANSWER_S, check=False
+                knock, capture_output=True, text=True, errors="replace", timeout=_ANSWER_S, check=False
             )
         except subprocess.TimeoutExpired:
-            problem = f"no answer within {ANSWER_S:g} s"
+            problem = f"no answer within {_ANSWER_S:g} s"
         else:
             if found.returncode:
                 said = [line for line in found.stderr.splitlines() if line.strip()]
@@ -389,7 +386,7 @@ class _SlurmJobs:
         except self._errors.FailedJobError as error:  # it never began: warpav is not installed there, say
             return Outcome(None, error=f"job {handle.job_id}: {_one_line(error)}")
         except self._errors.UncompletedJobError:
-            raise WorkerKilledError from None
+            raise _WorkerKilledError from None
 
     def close(self, handles: Collection[Any]) -> None:
         for job in handles:
@@ -465,7 +462,7 @@ def _run_once(
                 task = running.pop(handle)
                 try:
                     outcome = replace(workers.outcome(handle), task=task)
-                except WorkerKilledError:
+                except _WorkerKilledError:
                     failed.append(Outcome(task, error="its process was killed; is there enough memory?"))
                     continue
                 if outcome.lacks_memory:

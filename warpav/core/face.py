@@ -10,8 +10,7 @@ from typing import Any
 
 def face_of(package: str) -> tuple[list[str], Callable[[str], Any]]:
     """``__all__`` and ``__getattr__`` of a package that imports each name of its stub when it is first used."""
-    here = sys.modules[package]
-    stub = ast.parse(Path(str(here.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
+    stub = ast.parse(Path(str(sys.modules[package].__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom) and str(node.module).startswith("warpav")]
     places = {each.asname or each.name: (str(node.module), each.name) for node in imports for each in node.names}
 
@@ -20,8 +19,6 @@ def face_of(package: str) -> tuple[list[str], Callable[[str], Any]]:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, attribute = places[name]
         found = importlib.import_module(module)
-        found = getattr(found, attribute) if hasattr(found, attribute) else importlib.import_module(f"{module}.{name}")
-        setattr(here, name, found)
-        return found
+        return getattr(found, attribute) if hasattr(found, attribute) else importlib.import_module(f"{module}.{name}")
 
     return sorted(places), find

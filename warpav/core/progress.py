@@ -35,7 +35,7 @@ class Progress(Protocol):
         """An optimisation begins.
 
         Args:
-            records: `warpav.optimisation.records.IterationRecord`, one after each iteration.
+            records: `warpav.optimisation._records.IterationRecord`, one after each iteration.
             count: Iterations planned; None: nobody knows how many there will be.
             min_spacing_m: Least distance allowed between two cameras [m], to be shown beside the actual one.
         """
@@ -46,23 +46,18 @@ class NullProgress:
     """Shows nothing."""
 
     def say(self, text: str) -> None:
-        """Nothing."""
         del text
 
     def show(self, content: Any) -> None:  # noqa: ANN401
-        """Nothing."""
         del content
 
     def stage(self, description: str) -> None:
-        """Nothing."""
         del description
 
     def steps(self, description: str, items: Iterable[_Item], *, count: int) -> Iterator[_Item]:
-        """Pass the items on."""
         del description, count
         yield from items
 
     def iterations(self, records: Iterable[_Record], *, count: int | None, min_spacing_m: float) -> Iterator[_Record]:
-        """Pass the records on."""
         del count, min_spacing_m
         yield from records

@@ -111,7 +111,6 @@ class _Mistakes:
         self._place, self._line_of, self._lines = place, line_of, []
 
     def note(self, text: str, *location: object) -> None:
-        """Note that something at a location is wrong."""
         self._lines.append(f"{place_of(self._place, tuple(map(str, location)), self._line_of)}: {text}")
 
     @contextlib.contextmanager
@@ -125,7 +124,6 @@ class _Mistakes:
             self.note(str(error), *location)
 
     def refuse(self) -> None:
-        """Raise them, if there are any."""
         if self._lines:
             raise InputError(*self._lines)
 

@@ -37,11 +37,9 @@ class Table:
 
     @classmethod
     def of(cls, columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> Table:
-        """From sequences."""
         return cls(tuple(columns), tuple(map(tuple, rows)), caption)
 
     def markdown(self) -> str:
-        """The table as Markdown, numbers to the right."""
         rule = ["---", *["---:"] * (len(self.columns) - 1)]
         lines = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in (self.columns, rule, *self.rows)]
         return "\n".join([*(f"| {line} |" for line in lines), "", *([self.caption, ""] if self.caption else [])])

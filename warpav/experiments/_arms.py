@@ -22,41 +22,50 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, install_text
 from warpav.core.records import nearest
-from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, move_to_vehicle, random_mount_pose
-from warpav.optimisation.budget import (
+from warpav.optimisation import (
     BudgetedValue,
-    Search,
-    SingleCameraValues,
-    rig_values_of,
-    run_search,
-)
-from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.polish import PolishSteps, PolishTask, polish
-from warpav.optimisation.pool import Drawing
-from warpav.optimisation.pool_run import PoolRun
-from warpav.optimisation.rivals import (
+    Constraints,
     Draw,
+    Drawing,
+    PolishSteps,
+    PolishTask,
+    PoolRun,
+    Search,
+    SearchSpace,
+    Selection,
+    SingleCameraValues,
     cma_es,
     detections_of,
     differential_evolution,
+    edge_mount_pose,
     greedy_cover,
+    highest_mount_pose,
+    move_to_vehicle,
+    polish,
+    random_mount_pose,
     random_rigs,
     random_search,
+    rig_values_of,
+    run_search,
     selected_search,
     sobol_rigs,
     sobol_search,
 )
-from warpav.optimisation.selection.select import Selection
-from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
-from warpav.rig.presets import preset_names, preset_rig
-from warpav.rig.rig import Rig
-from warpav.runs import camera_mount, constraints_of, preset_for, read_start
+from warpav.rig import Rig, preset_names, preset_rig
+from warpav.runs import (
+    Optimisation,
+    Placement,
+    Stream,
+    camera_mount,
+    constraints_of,
+    pool_search_settings,
+    preset_for,
+    read_start,
+    searches_by_pool,
+)
 from warpav.runs.config import Config, load_config, option_values
-from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
-from warpav.runs.placement import Placement, Stream
-from warpav.thesis.descent import Descent, affordable_iterations, descent_camera_renders
-from warpav.thesis.segregation import BatchChooser
+from warpav.thesis import BatchChooser, Descent, affordable_iterations, descent_camera_renders
 
 _AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
@@ -101,7 +110,6 @@ class Arm:
 
     @property
     def is_seeded(self) -> bool:
-        """Whether another run seed may give another rig."""
         return not self.is_preset and (self.method not in METHODS or METHODS[self.method].is_seeded)
 
     @property
@@ -123,7 +131,6 @@ class Arm:
         return load_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
-        """Reject early what would fail in every run."""
         config, method = self.search_config(config), METHODS.get(self.method)
         if self.method == "cma" and importlib.util.find_spec("cma") is None:
             raise InputError(

@@ -7,13 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpav.optimisation.baselines import random_mount_pose
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
-from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.settings import OptimiserSettings
-from warpav.thesis.descent import AdamW
-from warpav.thesis.segregation import BatchChooser
+from warpav.optimisation import X_M, Y_M, YAW_RAD, AssignedScene, OptimiserSettings, RigObjective, random_mount_pose
+from warpav.thesis import AdamW, BatchChooser
 
 LOSS_OF = {
     "OOB": "out_of_bounds",

@@ -15,16 +15,16 @@ from weakref import WeakKeyDictionary, ref
 import numpy as np
 import warp as wp
 
-from warpav.detection.probability import whole_solid_angle
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.detection import whole_solid_angle
+from warpav.optimisation._mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.optimisation.losses._scene_on_tape import CameraProbability
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import Recording, ViewsAtOnce, beside_each_other, equal_chunks
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene, UprightBoxes
+from warpav.scene import DeviceScene, UprightBoxes
 
 _MEASURED = ("value", "jac_translation", "jac_rotation", "jac_log_focal")
 _VECTORS = ("jac_translation", "jac_rotation")
@@ -47,7 +47,6 @@ class CameraJacobians:
         self._views: dict[int, _Views] = {}
 
     def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
-        """See `SingleCameras.with_jacobian`."""
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
         peopled = [scene for scene in scenes if scene.vehicle_count > 0]
         if not peopled or not len(pose):

@@ -23,10 +23,10 @@ from typing import Literal
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.detection.miss_rate import SUREST
+from warpav.detection import SUREST
 from warpav.optimisation.selection._problem import Row, SelectionProblem, exchange, random_rig
 from warpav.optimisation.selection._relaxation import Price
-from warpav.optimisation.selection.select import STARTS, TOLERANCE, Ended, Selection, select
+from warpav.optimisation.selection._select import STARTS, TOLERANCE, Ended, Selection, select
 
 _MOST_EXCHANGES, _EXCHANGE_TIME = 8, 0.25
 """Times `STARTS` random rigs that are exchanged, and the share of a selection's time after which no more are."""

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpav.detection.miss_rate import SUREST
+from warpav.detection import SUREST
 from warpav.optimisation._camera_loss import SOFTNESS, RobustObjective
-from warpav.optimisation.mount import YAW_RAD
-from warpav.optimisation.pool import CameraPool
+from warpav.optimisation._mount import YAW_RAD
+from warpav.optimisation._pool import CameraPool
 
 _ELITE = 12
 """Cameras nearby that say in which directions to look, the best ones."""

@@ -13,13 +13,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from warpav.optimisation.importance import Importance
-from warpav.optimisation.losses.loss import DeviceLoss, HostLoss, LossSchedule
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
-from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.optimisation._importance import Importance
+from warpav.optimisation._mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
+from warpav.optimisation.losses._loss import DeviceLoss, HostLoss, LossSchedule
+from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.raster.chunks import Recording
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene import DeviceScene
 from warpav_kernels.placement import exchange
 
 
@@ -42,7 +42,6 @@ class Exchange:
     """
 
     def __init__(self, camera_count: int, constraint_count: int, loss_count: int, *, device: str) -> None:
-        """Zeros."""
         self._device = device
         self._shape = (camera_count, MOUNT_POSE_SIZE)
         # the last is nobody's: Warp cannot slice what is empty from the end of an array
@@ -85,7 +84,6 @@ class Exchange:
         self.zero()
 
     def zero(self) -> None:
-        """Gradients and sums of 0."""
         assert self._sent.grad is not None
         self._sent.grad.zero_()
         self.batch_loss.zero_()

@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from warpav.detection.miss_rate import SUREST
+from warpav.detection import SUREST
 
 Margins = tuple[np.ndarray, np.ndarray]
 """Margins of cameras at points [camera, point], and their Jacobian to the mount poses [camera, point, 7]."""
@@ -82,8 +82,6 @@ class HardPoints:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Inequalities ``margin + jacobian . move of the camera >= low``."""
-
     camera: np.ndarray  # whose margin each is about, int [row]
     margin: np.ndarray  # what its tangent says of the margin before the move, float64 [row]
     jacobian: np.ndarray  # its Jacobian to the camera's mount pose, float64 [row, 7]
@@ -114,8 +112,6 @@ _LOGIT_MAX = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A rig that was rendered."""
-
     mount_pose: np.ndarray  # of its cameras, float [camera, 7]
     probability: np.ndarray  # what each detects, float [camera, object]
     jacobian: np.ndarray  # its Jacobian to the mount poses, float [camera, object, 7]

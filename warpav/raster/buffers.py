@@ -44,8 +44,8 @@ _CUDA_STRIPS = 1 << 18, 1 << 22  # room in their queue, at least and at most
 _CUDA_STRIP_SAMPLES = 64  # there is room for a strip in so many samples of the views
 
 # Warp's arrays have strides of 32 bits, in bytes; see `Buffers.reserve_samples`.
-MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
-MAX_VIEW_SAMPLES = 2**27
+_MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
+_MAX_VIEW_SAMPLES = 2**27
 
 _REACH_STEP_RAD = math.radians(3.0)
 """Zooms whose images end at nearly the same angle from the axis share a table."""
@@ -108,10 +108,10 @@ class Buffers:
         # samples of a row of the grid, with its guard band, and rows
         self.width = self.width_px * self.supersampling + 2 * GUARD
         self.height = self.height_px * self.supersampling + 2 * GUARD
-        if self.width * self.height > MAX_VIEW_SAMPLES:
+        if self.width * self.height > _MAX_VIEW_SAMPLES:
             raise InputError(
                 f"{self.width_px} x {self.height_px} pixels with supersampling {supersampling} are more than "
-                f"{MAX_VIEW_SAMPLES} samples; lower the size or the supersampling"
+                f"{_MAX_VIEW_SAMPLES} samples; lower the size or the supersampling"
             )
         self.has_foreground = has_foreground  # whether its silhouette is wanted even where the occlusion does without
         self.ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
@@ -394,7 +394,7 @@ class Buffers:
         needed = int(self.needed_samples.numpy()[0]) if needed_samples is None else needed_samples
         if needed <= self._capacity:
             return False
-        limit = MAX_ATLAS_SAMPLES // 5 * 4  # there is room for a quarter more
+        limit = _MAX_ATLAS_SAMPLES // 5 * 4  # there is room for a quarter more
         if needed > limit:
             raise InputError(
                 f"the silhouettes in {self.view_count} views of {self.width} x {self.height} samples need {needed} "

@@ -46,7 +46,7 @@ def _key_bytes(model: CameraModel, supersampling: int) -> int:
     return 8 * (model.width_px * supersampling + 2) * (model.height_px * supersampling + 2)
 
 
-def views_with_room(most: int, view_bytes: int, *, free_bytes: int, sharers: int) -> int:
+def _views_with_room(most: int, view_bytes: int, *, free_bytes: int, sharers: int) -> int:
     """How many of so many views have room on a GPU at once, at least 1."""
     return max(1, min(most, free_bytes // (2 * sharers * view_bytes)))
 
@@ -55,7 +55,7 @@ def gpu_view_count(most: int, model: CameraModel, *, supersampling: int, device:
     """How many of so many views a renderer on a GPU renders at once, by what is free there now; fewer are said."""
     free_bytes = wp.get_device(device).free_memory
     view_bytes = _GPU_ROOM * _key_bytes(model, supersampling)
-    count = views_with_room(most, view_bytes, free_bytes=free_bytes, sharers=renderers * gpu_processes())
+    count = _views_with_room(most, view_bytes, free_bytes=free_bytes, sharers=renderers * gpu_processes())
     if count < most:
         text = "%s has %.1f GB free: %d views at once instead of %d; the numbers are the same"
         _logger.warning(text, device, free_bytes / 1e9, count, most)

@@ -31,7 +31,7 @@ import numpy as np
 _MAX_TANGENT = 100.0
 """A Brown-Conrady lens sees no farther from its axis than 89.4 degrees."""
 
-TABLE_ENTRIES = 4096
+_TABLE_ENTRIES = 4096
 """Entries of `image_table`."""
 
 _NEARBY_RAD = 0.16
@@ -84,7 +84,6 @@ class LensShape:
 
     @property
     def is_panorama(self) -> bool:
-        """Whether columns are azimuths, which go round."""
         return self.lens in (Lens.PANORAMA, Lens.EQUIRECTANGULAR)
 
     @property
@@ -311,8 +310,8 @@ def image_table(shape: LensShape, reach_rad: float) -> np.ndarray:
     the lens's limit the radius goes on growing as it did there. Of a panorama zeros.
     """
     if not shape.is_radial:
-        return np.zeros((TABLE_ENTRIES, 2), np.float32)
-    angle = np.arccos(np.clip(1.0 - 2.0 * np.linspace(0.0, 1.0, TABLE_ENTRIES), -1.0, 1.0))
+        return np.zeros((_TABLE_ENTRIES, 2), np.float32)
+    angle = np.arccos(np.clip(1.0 - 2.0 * np.linspace(0.0, 1.0, _TABLE_ENTRIES), -1.0, 1.0))
     sine = np.maximum(np.sin(angle), 1e-3)
     share = np.where(
         angle > 1e-4,

@@ -76,7 +76,6 @@ class Pane:
         return inside
 
     def is_clear(self, corner_m: np.ndarray) -> np.ndarray:
-        """Which triangles [triangle, corner, 3] are clear, bool [triangle]."""
         corner_m = np.asarray(corner_m, np.float64)
         clear = np.zeros(len(corner_m), bool)
         outline = np.asarray(self.outline_m)

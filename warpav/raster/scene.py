@@ -363,7 +363,6 @@ class Scene:
         return Scene.of_arrays(known, device=self.device)
 
     def _without(self, pane: Pane) -> Scene:
-        """See `through`."""
         host = {name: getattr(self.triangles, name).numpy() for name in _OF_TRIANGLES + _OF_CLUSTERS}
         body = self.occluder_count - 1  # the foreground is the last occluder
         own = np.flatnonzero(host["triangle_body"] == body)

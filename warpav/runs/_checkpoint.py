@@ -11,10 +11,10 @@ import warp as wp
 
 from warpav.core.cache import digest, fingerprint
 from warpav.core.errors import InputError
-from warpav.optimisation.objective import single_cameras_of
+from warpav.optimisation import single_cameras_of
 from warpav.runs._networks import model_path
+from warpav.runs._placement import Placement
 from warpav.runs.config import Config, option_values
-from warpav.runs.placement import Placement
 
 _MAY_CHANGE = (
     "run.iterations",
@@ -97,5 +97,5 @@ def check_identity(found: Mapping[str, str], expected: Mapping[str, str]) -> Non
 @cache
 def _version(is_cuda: bool) -> str:
     packages = [version(name) for name in ("warp-lang", "numpy", "scipy")]
-    code = ("warpav.thesis.descent", "warpav.optimisation.pool_run")
+    code = ("warpav.thesis._descent", "warpav.optimisation._pool_run")
     return fingerprint(*packages, is_cuda, code=code)

@@ -22,10 +22,17 @@ from warpav.core.errors import InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import checked_device, load_warp
-from warpav.detection.camera_mixture import ScalingDetector, Window, mixed_camera
-from warpav.detection.probability import DetectionProbability, DetectorUse
-from warpav.detection.probability_fit import DetectionSamples, random_cameras, sample_detections
-from warpav.optimisation.pool_cache import UNREADABLE, read_arrays, write_arrays
+from warpav.detection import (
+    DetectionProbability,
+    DetectionSamples,
+    DetectorUse,
+    ScalingDetector,
+    Window,
+    mixed_camera,
+    random_cameras,
+    sample_detections,
+)
+from warpav.optimisation import UNREADABLE, read_arrays, write_arrays
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import KeptRenderers, ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
 from warpav.raster.decide import Occlusion
@@ -34,14 +41,13 @@ from warpav.runs._mounts import camera_model, free_ranges, roof_surface
 from warpav.runs._networks import load_detector, opened_detector
 from warpav.runs._scene_set import load_scenes, scene_recipes
 from warpav.runs.config import Config
-from warpav.scene.stored_scene import SceneRecipe, StoredScene
+from warpav.scene import SceneRecipe, StoredScene
 
 if TYPE_CHECKING:
-    from warpav.detection.detector import Detector
+    from warpav.detection import Detector
     from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.rig.rig import RigCamera
-    from warpav.scene.device_scene import DeviceScene
+    from warpav.rig import MountSurface, RigCamera
+    from warpav.scene import DeviceScene
 
 VIEWS_PER_SCENE = 24
 

@@ -169,7 +169,7 @@ def _check_detector() -> Finding:
     """Whether the shipped detector is there and answers."""
     import numpy as np
 
-    from warpav.detection.onnx_detector import OnnxDetector
+    from warpav.detection import OnnxDetector
 
     detector = OnnxDetector("builtin")
     began = time.perf_counter()
@@ -203,8 +203,7 @@ def gradient_error(device: str) -> tuple[float, float]:
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
     from warpav.raster.renderer import Renderer
-    from warpav.scene.device_scene import DeviceScene
-    from warpav.scene.scene import Box, Scene, Vehicle
+    from warpav.scene import Box, DeviceScene, Scene, Vehicle
 
     def block(centre_m: tuple[float, float, float], size_m: tuple[float, float, float]) -> Mesh:
         corner = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
-from warpav.rig.rig import Rig
+from warpav.rig import Rig
 from warpav.runs._events import of_modules, trajectory
 from warpav.runs._rig_evaluation import heading_of
 from warpav.runs.config import BY_HAND, Config
 from warpav.view import ANIMATION_PX, Canvas, drawing_of, draws
 
 if TYPE_CHECKING:
-    from warpav.optimisation.further_camera import FurtherCameras
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.scene.scene import Scene
+    from warpav.optimisation import FurtherCameras
+    from warpav.rig import MountSurface
+    from warpav.scene import Scene
 
 COMPARED_KINDS = ("plan", "ground", "range", "near_field", "redundancy", "resolution")
 """Kinds that take several rigs."""
@@ -37,7 +37,7 @@ def vehicle_name(config: Config) -> str:
 
 def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) -> tuple[Any, dict[str, Any]]:
     """What `plot` draws of rigs on one vehicle for a kind out of `FITTING_KINDS`, and its options."""
-    from warpav.runs.detector_fit import ensure_fit
+    from warpav.runs._detector_fit import ensure_fit
 
     options: dict[str, Any] = {"scene": scene}
     if kind == "range":
@@ -79,12 +79,10 @@ class DrawnRun:
 
     @cached_property
     def scene(self) -> Scene:
-        """Traffic and street."""
         return self.scene_of()
 
     @cached_property
     def surface(self) -> MountSurface:
-        """What the cameras stand on."""
         return self.surface_of(self.scene)
 
     @cached_property
@@ -200,7 +198,7 @@ def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """How the cameras moved, and where they ended, from above; a start that is another rig, by hand, is left out."""
-    from warpav.view.figures import top_view_figure
+    from warpav.view import top_view_figure
 
     drawn = run.drawn(scene=scene)
     return top_view_figure(
@@ -216,7 +214,7 @@ def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any: 
 
 def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """Best rig and bound of a search by a pool over its renders; of a descent its losses over its iterations."""
-    from warpav.view.figures import loss_figure, search_figure
+    from warpav.view import loss_figure, search_figure
 
     drawn = run.drawn(scene=scene)
     found = search_figure(drawn.all_events)
@@ -225,7 +223,7 @@ def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  
 
 def _further(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """From above, what each camera of the pool would add to the rig that was found."""
-    from warpav.view.figures import further_figure
+    from warpav.view import further_figure
 
     drawn = run.drawn(scene=scene)
     return further_figure(

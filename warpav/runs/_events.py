@@ -23,7 +23,7 @@ _Place = tuple[float, float, float]
 
 
 class Event(BaseModel):
-    """An iteration, see `warpav.optimisation.records.IterationRecord`; older versions did not write all of it."""
+    """An iteration, see `warpav.optimisation._records.IterationRecord`; older versions did not write all of it."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 

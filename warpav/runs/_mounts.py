@@ -16,21 +16,31 @@ from warpav.core.warp_setup import checked_device
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
-from warpav.rig.catalogue import builtin_modules, read_modules
-from warpav.rig.chart import chart_of, propose_zones, with_middles
-from warpav.rig.module import PLAIN, PLAIN_HOUSING, Module, Price, Role
-from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.rig.on_body import MovedRig, skin_distance_m
-from warpav.rig.presets import preset_on_vehicle
-from warpav.rig.rig import Rig
-from warpav.rig.zone import NORMALS, Zone, read_zones
+from warpav.rig import (
+    NORMALS,
+    PLAIN,
+    PLAIN_HOUSING,
+    Module,
+    MountSurface,
+    MovedRig,
+    Price,
+    Rig,
+    Role,
+    Zone,
+    builtin_modules,
+    chart_of,
+    mount_surface_from_mesh,
+    preset_on_vehicle,
+    propose_zones,
+    read_modules,
+    read_zones,
+    skin_distance_m,
+    with_middles,
+)
 from warpav.runs.config import NAMED_STARTS, Config
 
 if TYPE_CHECKING:
-    from warpav.optimisation.constraints import Constraints
-    from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
-    from warpav.optimisation.objective import ObjectiveOptions
-    from warpav.optimisation.rig_limits import RigLimits
+    from warpav.optimisation import CameraMount, Constraints, FreeRanges, FrozenCameras, ObjectiveOptions, RigLimits
     from warpav.raster.mesh import Mesh
 
 _FLUSH_NEAR_M = 0.01
@@ -131,7 +141,7 @@ def _network_model(model: CameraModel, config: Config) -> CameraModel:
 
 def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
     """How many cameras of which module a rig may have; None where all cameras are equal."""
-    from warpav.optimisation.rig_limits import RigLimits
+    from warpav.optimisation import RigLimits
 
     if config.rig.module_counts is None:
         return None
@@ -149,7 +159,7 @@ def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
 
 def free_ranges(config: Config) -> FreeRanges:
     """What may differ from camera to camera besides x, y and yaw."""
-    from warpav.optimisation.mount import FreeRanges
+    from warpav.optimisation import FreeRanges
 
     free = config.rig.free
     angles = (
@@ -270,7 +280,7 @@ def roof_surface(config: Config, ego: Mesh) -> MountSurface:
 
 def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None = None) -> CameraMount:
     """The mount surface of the ego vehicle on the device, with the cameras of the configuration."""
-    from warpav.optimisation.mount import CameraMount
+    from warpav.optimisation import CameraMount
 
     surface = mount_surface(config, ego)
     if say is not None:
@@ -299,10 +309,10 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
 
 def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras | None = None) -> Constraints:
     """What the method demands of the places of the cameras."""
-    from warpav.optimisation.constraints import ZoneAndSpacing
+    from warpav.optimisation import ZoneAndSpacing
 
     if config.method == "thesis":
-        from warpav.thesis.constraints import BoundsAndSpacing
+        from warpav.thesis import BoundsAndSpacing
 
         return BoundsAndSpacing(surface, min_spacing_m=config.rig.min_spacing_m)
     limits = rig_limits(config, surface)
@@ -319,7 +329,7 @@ def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras 
 
 def objective_options(config: Config) -> ObjectiveOptions:
     """How scenes are looked at."""
-    from warpav.optimisation.objective import ObjectiveOptions
+    from warpav.optimisation import ObjectiveOptions
 
     return ObjectiveOptions(
         confidence_min=config.detector.confidence_min,

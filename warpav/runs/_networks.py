@@ -21,10 +21,7 @@ from warpav.runs._scene_set import own_vehicle_digest, recordings_digest
 from warpav.runs.config import Config, with_absolute_paths
 
 if TYPE_CHECKING:
-    from warpav.detection.detector import Detector
-    from warpav.detection.differentiable import DifferentiableDetector
-    from warpav.detection.onnx_detector import OnnxDetector
-    from warpav.detection.probability import DetectorUse
+    from warpav.detection import Detector, DetectorUse, DifferentiableDetector, OnnxDetector
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
 
@@ -56,7 +53,7 @@ def read_detector(
 
 def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
     """The detector of the configuration, tried on a grey image of the configured camera."""
-    from warpav.detection.families.family import GREY
+    from warpav.detection import GREY
 
     detector = opened_detector(config, every_road_user=every_road_user)
     # what a network cannot do shows at once, not when scenes have been rendered and a run folder lies there
@@ -66,7 +63,7 @@ def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetec
 
 def opened_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
     """As `load_detector`, but not tried."""
-    from warpav.detection.onnx_detector import OnnxDetector
+    from warpav.detection import OnnxDetector
 
     return OnnxDetector(
         config.detector.model,
@@ -83,7 +80,7 @@ def opened_detector(config: Config, *, every_road_user: bool = False) -> OnnxDet
 
 def detector_use(config: Config, ego: Mesh | None = None, camera: CameraModel | None = None) -> DetectorUse:
     """The detector, and everything in the configuration on which its detection probability in a view depends."""
-    from warpav.detection.probability import DetectorUse
+    from warpav.detection import DetectorUse
 
     config = with_absolute_paths(config)  # a run folder writes them so, and finds the same fit
     vehicle = own_vehicle_digest(config) if ego is None else digest(ego.vertex_m.tobytes(), ego.triangle.tobytes())
@@ -107,8 +104,7 @@ def any_camera_use(config: Config) -> DetectorUse:
 
     Field of view, lens, image size, pose and vehicle are not among it.
     """
-    from warpav.detection.camera_mixture import RECIPE
-    from warpav.detection.probability import DetectorUse
+    from warpav.detection import RECIPE, DetectorUse
 
     config = with_absolute_paths(config)
     return DetectorUse(
@@ -136,7 +132,7 @@ def any_camera_config(config: Config) -> Config:
 
 def model_path(config: Config) -> Path:
     """The ONNX file of the detector that a configuration names."""
-    from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
+    from warpav.detection import BUILTIN_MODEL_PATH
 
     return BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()
 
@@ -169,8 +165,6 @@ def _camera_settings(config: Config, camera: CameraModel | None) -> dict[str, An
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """The detector, and what losses need of it."""
-
     detector: Detector  # the detector
     differentiable: DifferentiableDetector | None  # the same network, differentiable; None where no loss needs it
 
@@ -182,7 +176,7 @@ def load_networks(config: Config) -> Networks:
     differentiable = None
     if config.losses.weights["detector_gradient"] > 0.0:
         try:
-            from warpav.detection.differentiable import DifferentiableDetector
+            from warpav.detection import DifferentiableDetector
         except ImportError as error:
             raise OptionError(
                 "losses.detector_gradient",

@@ -16,40 +16,40 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.optimisation.budget import BudgetedValue, run_search
-from warpav.optimisation.further_camera import FurtherCameras
-from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.pool_run import PoolRun
-from warpav.optimisation.records import Candidate, IterationRecord
-from warpav.optimisation.rivals import random_search
-from warpav.optimisation.rounding import workshop_rig
-from warpav.optimisation.space import SearchSpace
-from warpav.rig.rig import Rig, write_rig
+from warpav.optimisation import (
+    BudgetedValue,
+    Candidate,
+    FurtherCameras,
+    IterationRecord,
+    MountErrors,
+    PoolRun,
+    SearchSpace,
+    random_search,
+    run_search,
+    workshop_rig,
+)
+from warpav.rig import Rig, write_rig
 from warpav.runs._checkpoint import identity_of
 from warpav.runs._drawn_run import DrawnRun, draws_runs
+from warpav.runs._evaluate import evaluate, evaluate_on, highest_rig, requirements_of, rule_margins
 from warpav.runs._events import Certificate
 from warpav.runs._mounts import preset_for
+from warpav.runs._placement import Placement, Stream
 from warpav.runs._progress import shown_progress
 from warpav.runs._rig_evaluation import GroundTable, Robust, SearchEnd, Simpler, StartAndEnd, ToleranceTable
 from warpav.runs._rig_source import read_baselines
 from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import BY_HAND, Config
-from warpav.runs.evaluate import evaluate, evaluate_on, highest_rig, requirements_of, rule_margins
-from warpav.runs.placement import Placement, Stream
 from warpav.runs.robustness import tolerance_on
-from warpav.scene.files import scene_path
-from warpav.scene.glb import write_scene
-from warpav.scene.scene import Scene
+from warpav.scene import Scene, scene_path, write_scene
 from warpav.view import plot
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from warpav.optimisation.losses.scene_on_tape import AssignedScene
+    from warpav.optimisation import AssignedScene
     from warpav.runs.report._content import RunContent
-    from warpav.sight.check import RequirementResult
-    from warpav.thesis.descent import Descent
+    from warpav.sight import RequirementResult
+    from warpav.thesis import Descent
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared; a start that is the best by hand is called `BY_HAND`."""
@@ -66,7 +66,7 @@ class Result:
     Attributes:
         placement: What it ran on.
         records: What every iteration did.
-        pairing_rig: See `warpav.runs.placement.Placement.assigned`.
+        pairing_rig: See `warpav.runs._placement.Placement.assigned`.
     """
 
     placement: Placement
@@ -248,7 +248,7 @@ class Result:
             folder: A folder that does not exist yet, or an empty one.
             test: Scenes to compare on, that no rig was optimised on; None: those of ``scenes.test_seeds``, where the
                 scenes of the placement are embedded or files.
-            progress: As of `warpav.runs.optimise.optimise`.
+            progress: As of `warpav.runs._optimise.optimise`.
 
         Returns:
             The folder.
@@ -344,8 +344,6 @@ draws_runs(Result)
 
 
 class StageTimer:
-    """Wall time of the stages of a run [s]."""
-
     def __init__(self) -> None:
         self._began = self._last = time.perf_counter()
         self._seconds: dict[str, float] = {}
@@ -372,10 +370,10 @@ def complete_folder(
     progress: Progress,
 ) -> RunContent:
     """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
+    from warpav.runs._run_figures import GROUND_SCENES, RunPictures
     from warpav.runs.report._content import read_content
     from warpav.runs.report.report import write_report
-    from warpav.runs.run_figures import GROUND_SCENES, RunPictures
-    from warpav.sight.ground import BlindGround
+    from warpav.sight import BlindGround
 
     placement, descent = result.placement, result._descent
     folder.write_checkpoint(result._state())

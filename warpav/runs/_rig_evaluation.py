@@ -12,22 +12,27 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PrivateAttr,
 
 from warpav.core.errors import ArgumentError
 from warpav.core.table import Table, data_frame
-from warpav.optimisation.constraints import Margin
-from warpav.optimisation.evaluation.metrics import (
+from warpav.optimisation import (
     OPTIONAL_METRICS,
     PAIRED_METRICS,
     REDUNDANT_CAMERAS,
     REDUNDANT_WITHIN_M,
     ArmMetrics,
+    CameraOutages,
+    Difference,
+    LoadStates,
+    Margin,
+    MountEffect,
+    MountTolerance,
     ObjectOutcome,
     SceneObservations,
+    Soiling,
+    paired_difference,
+    paired_differences,
 )
-from warpav.optimisation.evaluation.perturbations import CameraOutages, LoadStates, MountEffect, MountTolerance, Soiling
-from warpav.optimisation.evaluation.statistics import Difference, paired_difference, paired_differences
-from warpav.rig.rig import Rig
-from warpav.scene.device_scene import DeviceScene
-from warpav.sight.check import Gap, RequirementResult, WorstPoint
-from warpav.sight.rules import RuleMargin
+from warpav.rig import Rig
+from warpav.scene import DeviceScene
+from warpav.sight import Gap, RequirementResult, RuleMargin, WorstPoint
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
@@ -123,7 +128,7 @@ class SearchEnd(_Part):
 
 
 class GroundTable(_Part):
-    """Cells of the ground by sector and band, see `warpav.sight.ground.BlindGround.table`."""
+    """Cells of the ground by sector and band, see `warpav.sight._ground.BlindGround.table`."""
 
     scenes: int = Field(ge=1)
     heights_m: list[float]
@@ -194,7 +199,7 @@ class ToleranceTable(_Part):
 
 
 class _Need(_Part):
-    """What a requirement asks for, see `warpav.sight.requirement.Requirement`."""
+    """What a requirement asks for, see `warpav.sight._requirement.Requirement`."""
 
     object: str
     visible_share: float
@@ -204,7 +209,7 @@ class _Need(_Part):
 
 
 class _MetRequirement(_Part):
-    """What a rig meets of a requirement, see `warpav.sight.check.RequirementOutcome.to_json`."""
+    """What a rig meets of a requirement, see `warpav.sight._check.RequirementOutcome.to_json`."""
 
     name: str
     hard: bool

@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
-from warpav.optimisation.hand_rigs import mount_pose_by_hand
-from warpav.rig.check import off_vehicle
-from warpav.rig.presets import HAND_RIGS, find_rig_file, is_preset, preset_names
-from warpav.rig.rig import Rig, RigCamera, read_rig
+from warpav.optimisation import mount_pose_by_hand
+from warpav.rig import HAND_RIGS, Rig, RigCamera, find_rig_file, is_preset, off_vehicle, preset_names, read_rig
 from warpav.runs._mounts import (
     camera_model,
     camera_mount,
@@ -116,7 +114,7 @@ def rig_to_export(source: str) -> Rig:
     """The rig that ``source`` means; one by hand stands on the embedded vehicle, with the cameras of ``quick``."""
     if source not in HAND_RIGS:
         return read_rig(_rig_file(source))
-    from warpav.scene.town.town import town_scene
+    from warpav.scene import town_scene
 
     with placed_config("quick", ()) as config:
         return find_rig(source, config, town_scene(0).ego)

@@ -39,22 +39,20 @@ from warpav.core.files import (
     writing,
 )
 from warpav.core.table import data_frame
-from warpav.rig.presets import preset_names
-from warpav.rig.rig import Rig, read_rig, write_rig
-from warpav.rig.zone import read_zones, write_zones
+from warpav.rig import Rig, preset_names, read_rig, read_zones, write_rig, write_zones
 from warpav.runs._drawn_run import DrawnRun, draws_runs
 from warpav.runs._environment import command_line, environment
 from warpav.runs._events import Certificate, flat_numbers, read_events
 from warpav.runs.config import BY_HAND, KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
-from warpav.sight.read import copy_requirements
+from warpav.sight import copy_requirements
 from warpav.view import plot
 
 if TYPE_CHECKING:
     import numpy as np
     import pandas  # pyright: ignore[reportMissingImports]
 
-    from warpav.optimisation.further_camera import FurtherCameras
-    from warpav.scene.scene import Scene
+    from warpav.optimisation import FurtherCameras
+    from warpav.scene import Scene
 
     MultiBlock = Any
 
@@ -216,7 +214,7 @@ class RunFolder:
         """The content of ``further_cameras.csv``, or None: a descent writes none."""
         import numpy as np
 
-        from warpav.optimisation.further_camera import FurtherCameras
+        from warpav.optimisation import FurtherCameras
 
         file = self.path / "further_cameras.csv"
         if not file.exists():
@@ -342,7 +340,7 @@ class RunFolder:
     def to_pyvista(self, *, scene: Scene | None = None) -> MultiBlock:
         """The run as ``pyvista.MultiBlock``: ``start``, ``path``, ``end``, ``scene``.
 
-        See `warpav.view.blocks.run_to_pyvista`.
+        See `warpav.view._blocks.run_to_pyvista`.
 
         Args:
             scene: Traffic and street; by default the first test scene of the run.
@@ -350,7 +348,7 @@ class RunFolder:
         Raises:
             InputError: A file of the folder is missing or cannot be used.
         """
-        from warpav.view.blocks import run_to_pyvista
+        from warpav.view import run_to_pyvista
 
         run = self.drawn(scene=scene)
         return run_to_pyvista(run.frames, start=self.rig("initial"), end=run.rig, scene=run.scene)

@@ -17,30 +17,48 @@ from warpav.core.cache import digest, user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import checked_device, compiling
-from warpav.optimisation.settings import RuleSettings
+from warpav.optimisation import RuleSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.rig.zone import read_zones
+from warpav.rig import read_zones
 from warpav.runs._mounts import camera_mount, has_zones, mount_surface, rig_modules
 from warpav.runs.config import Config, RigConfig, RunConfig
-from warpav.scene.cache import BuiltSource
-from warpav.scene.capture.capture import PlanSettings
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.files import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
-from warpav.scene.places import parts_of, recordings_of, sources_of
-from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
-from warpav.scene.scene import ROAD_USERS, Scene
-from warpav.scene.stored_scene import SceneRecipe, StoredScene, scenes_of, stored_scenes
-from warpav.scene.town.levels import Level, TownSource, level_of, level_of_seed, level_scene
-from warpav.scene.town.town import ego_vehicle
+from warpav.scene import (
+    METHOD_PACKAGES,
+    ROAD_USERS,
+    BuiltSource,
+    CaptureTask,
+    DeviceScene,
+    Level,
+    PlanSettings,
+    ReconstructionSettings,
+    Scene,
+    SceneRecipe,
+    SceneTask,
+    StoredScene,
+    TownSource,
+    capture_path,
+    capture_scenes,
+    ego_vehicle,
+    file_of,
+    level_of,
+    level_of_seed,
+    level_scene,
+    make_scenes,
+    parts_of,
+    recordings_of,
+    scene_path,
+    scenes_of,
+    sources_of,
+    stored_scenes,
+)
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
-from warpav.scene.vehicles import file_of
 
 if TYPE_CHECKING:
-    from warpav.optimisation.mount import CameraMount
-    from warpav.scene.fleet import Fleet
+    from warpav.optimisation import CameraMount
+    from warpav.scene import Fleet
 
 _VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
@@ -66,7 +84,6 @@ class SceneSet:
 
     @property
     def scenes(self) -> list[DeviceScene]:
-        """All scenes: those of training, of validation, of the test."""
         return [*self.train, *self.validation, *self.test]
 
     def check_vehicle(self, scene: Scene) -> None:
@@ -91,7 +108,7 @@ class SceneSet:
 
         Shapes: returns [vehicle, rotation].
         """
-        from warpav.thesis.segregation import areas_around
+        from warpav.thesis import areas_around
 
         return areas_around(
             [scene.raster for scene in scenes],
@@ -277,8 +294,7 @@ def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None
 
 def own_vehicle(config: Config) -> Mesh | None:
     """The vehicle of ``scenes.ego`` in the ego frame; None where scenes keep their own."""
-    from warpav.scene.mesh_colours import shaded
-    from warpav.scene.own_vehicle import examine, read_vehicle_file
+    from warpav.scene import examine, read_vehicle_file, shaded
 
     path = config.scenes.ego
     if path is None:
@@ -318,8 +334,7 @@ def check_zones(config: Config) -> None:
 
 def checked_vehicle(ego: object) -> Mesh:
     """A vehicle that is given as an object, in the ego frame; ``ego`` [vertex, 3]."""
-    from warpav.scene.mesh_colours import shaded
-    from warpav.scene.own_vehicle import Reading, VehicleFile, examine
+    from warpav.scene import Reading, VehicleFile, examine, shaded
 
     mesh = ego if isinstance(ego, Mesh) else _mesh_of(ego)
     file = VehicleFile(Path("ego"), mesh.vertex_m, mesh.triangle, mesh.vertex_rgb, Reading("z", "x"), False, "a mesh")
@@ -352,7 +367,7 @@ def _traffic_fleet(config: Config) -> Fleet | None:
     scenes = config.scenes
     if scenes.vehicles is None:
         return None
-    from warpav.scene.fleet import USUAL_SHARE, fleet_of
+    from warpav.scene import USUAL_SHARE, fleet_of
 
     try:
         return fleet_of(scenes.vehicles, scenes.vehicles_share or USUAL_SHARE)
@@ -495,7 +510,7 @@ def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
 
 
 def _scene_of(source: str, levels: Sequence[Level] | None, fleet: Fleet | None) -> Scene:
-    from warpav.scene.glb import read_scene
+    from warpav.scene import read_scene
 
     if source.isdecimal() and not Path(source).exists():
         return level_scene(int(source), level_of_seed(levels, int(source)), fleet)

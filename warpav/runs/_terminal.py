@@ -33,17 +33,14 @@ class TerminalTable(rich_table.Table):
     """A table of texts, the first column to the left."""
 
     def __init__(self, title: str = "", *, has_frame: bool = True) -> None:
-        """An empty table."""
         frame: dict[str, Any] = {} if has_frame else {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0)}
         heading = shown(title, "table.title") if title else None
         super().__init__(title=heading, title_justify="left", header_style="bold", **frame)
 
     def add_column(self, header: RenderableType = "", *rest: Any, **style: Any) -> None:  # noqa: ANN401 (rich's own)
-        """A column; see rich."""
         super().add_column(shown(header) if isinstance(header, str) else header, *rest, **style)
 
     def add_row(self, *cells: RenderableType | None, **style: Any) -> None:  # noqa: ANN401 (rich's own)
-        """A row; see rich."""
         super().add_row(*(shown(cell) if isinstance(cell, str) else cell for cell in cells), **style)
 
 

@@ -7,23 +7,23 @@ from collections.abc import Mapping, Sequence
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
-from warpav.optimisation.evaluation.perturbations import (
+from warpav.optimisation import (
+    AssignedScene,
     LoadState,
     LoadStates,
+    MountErrors,
     MountTolerance,
     PosedRig,
     SoiledPart,
     Soiling,
     SoilShape,
+    single_cameras_of,
 )
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.objective import single_cameras_of
-from warpav.rig.rig import Rig
+from warpav.rig import Rig
+from warpav.runs._evaluate import weights_on
+from warpav.runs._placement import Placement
 from warpav.runs._progress import shown_progress
-from warpav.runs.evaluate import weights_on
-from warpav.runs.placement import Placement
-from warpav.scene.scene import Scene
+from warpav.scene import Scene
 
 __all__ = ["load_states", "mount_tolerance", "soiling"]
 

@@ -1,1 +1,5 @@
 """Traffic scenes and where they come from."""
+
+from warpav.core.face import face_of
+
+__all__, __getattr__ = face_of(__name__)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,5 +1,8 @@
 """What others use of this package; it is imported when it is first used."""
 
+from warpav.view._blocks import rig_to_pyvista as rig_to_pyvista
+from warpav.view._blocks import run_to_pyvista as run_to_pyvista
+from warpav.view._blocks import scene_to_pyvista as scene_to_pyvista
 from warpav.view._browser import DEFAULT_PORT as DEFAULT_PORT
 from warpav.view._browser import BrowserInspector as BrowserInspector
 from warpav.view._browser import new_token as new_token
@@ -22,9 +25,7 @@ from warpav.view._output import save_page as save_page
 from warpav.view._output import save_rgb as save_rgb
 from warpav.view._page import load_k3d as load_k3d
 from warpav.view._palette import CAMERA_RGB as CAMERA_RGB
-from warpav.view._palette import OUTCOME_RGB as OUTCOME_RGB
 from warpav.view._palette import PAPER_RGB as PAPER_RGB
-from warpav.view._palette import hex_colour as hex_colour
 from warpav.view._picture import WIDE_ZOOM as WIDE_ZOOM
 from warpav.view._picture import Picture as Picture
 from warpav.view._picture import add_range_rings as add_range_rings
@@ -37,3 +38,31 @@ from warpav.view._plotting import plot as plot
 from warpav.view._recording import load_rerun as load_rerun
 from warpav.view._recording import run_animation as run_animation
 from warpav.view._recording import write_recording as write_recording
+from warpav.view.drawing._mount_drawing import check_out as check_out
+from warpav.view.drawing._mount_drawing import mount_drawing as mount_drawing
+from warpav.view.figures._around import requirement_map as requirement_map
+from warpav.view.figures._clouds import sphere as sphere
+from warpav.view.figures._clouds import stages as stages
+from warpav.view.figures._clouds import window_filter as window_filter
+from warpav.view.figures._convergence import loss_figure as loss_figure
+from warpav.view.figures._convergence import search_figure as search_figure
+from warpav.view.figures._from_above import further_figure as further_figure
+from warpav.view.figures._from_above import top_view_figure as top_view_figure
+from warpav.view.figures._images import contact_sheet as contact_sheet
+from warpav.view.figures._images import detections_sheet as detections_sheet
+from warpav.view.figures._images import image_types as image_types
+from warpav.view.figures._images import own_body_tinted as own_body_tinted
+from warpav.view.figures._rigs import OptimisedRig as OptimisedRig
+from warpav.view.figures._rigs import before_and_after as before_and_after
+from warpav.view.figures._rigs import heat_maps as heat_maps
+from warpav.view.figures._rigs import highest_rig as highest_rig
+from warpav.view.figures._rigs import mount_surface_stages as mount_surface_stages
+from warpav.view.figures._rigs import without_and_with_constraints as without_and_with_constraints
+from warpav.view.figures._statistics import detection_curves as detection_curves
+from warpav.view.figures._statistics import differences_figure as differences_figure
+from warpav.view.figures._statistics import front_figure as front_figure
+from warpav.view.figures._statistics import recall_figure as recall_figure
+from warpav.view.figures._statistics import reliability_diagram as reliability_diagram
+from warpav.view.figures._statistics import sensitivity_figure as sensitivity_figure
+from warpav.view.figures._style import checked_figure as checked_figure
+from warpav.view.figures._style import figure_bytes as figure_bytes

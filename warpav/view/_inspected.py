@@ -14,21 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.optimisation.constraints import min_camera_distance_m
-from warpav.rig.rig import Rig, RigCamera, write_rig
-from warpav.scene.device_scene import DeviceScene
-from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
+from warpav.optimisation import min_camera_distance_m
+from warpav.rig import Rig, RigCamera, write_rig
+from warpav.scene import DeviceScene
+from warpav.sight import HEIGHTS_M, PATCH_M, Ground
 
 if TYPE_CHECKING:
-    from warpav.optimisation.constraints import Constraints
-    from warpav.optimisation.evaluation.metrics import RigObservation, RigObserver
-    from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.optimisation import Constraints, FurtherCameras, RigObservation, RigObserver
     from warpav.raster.mesh import Mesh
-    from warpav.rig.module import Module
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.scene.scene import Scene
-    from warpav.sight.check import RequirementResult
-    from warpav.sight.ground import Coverage
+    from warpav.rig import Module, MountSurface
+    from warpav.scene import Scene
+    from warpav.sight import Coverage, RequirementResult
     from warpav.view._layers import Steepest
 
 NEAR_M = 20.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.sight.ground import HEIGHTS_M, PATCH_M
+from warpav.sight import HEIGHTS_M, PATCH_M
 from warpav.view._inspected import NEAR_M
 from warpav.view._layers import (
     RAYS_PX,
@@ -47,8 +47,8 @@ from warpav.view._picture import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from warpav.optimisation.evaluation.metrics import CameraObservation
-    from warpav.sight.ground import Coverage, Ground
+    from warpav.optimisation import CameraObservation
+    from warpav.sight import Coverage, Ground
     from warpav.view._inspected import InspectedRig
 
     Plotter = Any
@@ -476,7 +476,7 @@ class Inspector:
 
     def view_rgb(self) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
-        from warpav.detection.images import render_images
+        from warpav.detection import render_images
         from warpav.view.figures._images import own_body_tinted
 
         assert self.chosen is not None

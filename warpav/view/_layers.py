@@ -31,14 +31,11 @@ from warpav.view._palette import (
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.optimisation import FurtherCameras
     from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.rig.rig import Rig, RigCamera
-    from warpav.scene.device_scene import DeviceScene
-    from warpav.scene.scene import Scene
-    from warpav.sight.check import RequirementResult
-    from warpav.sight.ground import Coverage
+    from warpav.rig import MountSurface, Rig, RigCamera
+    from warpav.scene import DeviceScene, Scene
+    from warpav.sight import Coverage, RequirementResult
 
     Plotter = Any
     PolyData = Any
@@ -153,7 +150,7 @@ def visibility_to_pyvista(
     camera: RigCamera, scene: DeviceScene, *, farthest_m: float = _FARTHEST_M, rays: int = RAYS_PX
 ) -> PolyData:
     """What a camera sees, up to what hides the rest; cell data ``part``: seen, free (nothing is near), side."""
-    from warpav.sight.sight import free_shares
+    from warpav.sight import free_shares
 
     model, transform = camera.model, camera.ego_from_camera
     row_px, column_px = np.linspace(0.0, model.height_px, rays), np.linspace(0.0, model.width_px, rays)
@@ -277,7 +274,7 @@ def add_coverage(
 
 def patch_words(height_m: float) -> str:
     """Whom a height of a coverage means [m]: the ground itself, or somebody so tall."""
-    from warpav.sight.ground import PATCH_M
+    from warpav.sight import PATCH_M
 
     return "the ground" if height_m <= PATCH_M else f"{height_m:g} m tall"
 
@@ -415,7 +412,7 @@ def gain_to_pyvista(surface: MountSurface, further: FurtherCameras, *, lift_m: f
     """
     from scipy.spatial import KDTree
 
-    from warpav.optimisation.further_camera import PLACE_M
+    from warpav.optimisation import PLACE_M
 
     squares = zones_to_pyvista(surface, lift_m=lift_m)
     gain_of_100 = np.full(squares.n_cells, np.nan)

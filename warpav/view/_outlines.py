@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
-    from warpav.rig.rig import RigCamera
+    from warpav.rig import RigCamera
 
 _ARC_STEPS = 1440
 _BISECTIONS = 30

@@ -51,7 +51,6 @@ class Canvas:
 
     @property
     def is_animation(self) -> bool:
-        """Whether the file is an animation."""
         return self.out is not None and self.out.suffix.lower() in _ANIMATION_SUFFIXES
 
     def size_px(self, usual: tuple[int, int]) -> tuple[int, int]:
@@ -81,7 +80,6 @@ def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None 
 
 
 def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, lines: Sequence[str] = ()) -> Path:
-    """Write a page that stands alone: a rig and one or more scenes, see `warpav.view._page.page_of`."""
     from warpav.view._page import page_of
 
     page = page_of(plotters, title=title, lines=lines)
@@ -89,7 +87,6 @@ def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, 
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
-    """Write an animation as ``.gif`` or ``.mp4``."""
     path = Path(path)
     if path.suffix.lower() not in _ANIMATION_SUFFIXES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(_ANIMATION_SUFFIXES)}, got {path.suffix!r}")

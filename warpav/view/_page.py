@@ -37,8 +37,6 @@ _OF_SCENE = ("scene/", "coverage", "ground", "legend/", "visibility/", "outcomes
 
 @dataclass(frozen=True)
 class _Control:
-    """A control of the panel."""
-
     key: str
     label: str
     kind: Literal["one", "any"]
@@ -48,12 +46,9 @@ class _Control:
 
 
 class _Page:
-    """A page that is being made."""
-
     def __init__(
         self, title: str, view_of: Plotter, *, controls: Sequence[_Control] = (), lines: Sequence[str] = ()
     ) -> None:
-        """An empty page that begins with the view of a plotter."""
         self._k3d, self._title, self._controls, self._lines = load_k3d(), title, controls, lines
         self._plot = self._k3d.plot(
             grid_visible=False,
@@ -152,7 +147,6 @@ class _Page:
         self._tags.append({**tags, "id": str(drawn.id)})
 
     def html(self) -> str:
-        """The page."""
         words = {
             "title": self._title,
             "lines": list(self._lines),
@@ -237,5 +231,4 @@ def _packed(colour: Any) -> int:  # noqa: ANN401 (a pyvista.Color)
 
 
 def load_k3d() -> Any:  # noqa: ANN401 (a module)
-    """The module k3d, which makes pages."""
     return optional_module("k3d", purpose="an interactive page", extra="web")

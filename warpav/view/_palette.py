@@ -38,7 +38,7 @@ OUTCOME_RGB: dict[str, Rgb] = {
     "hidden": (150, 110, 210),
     "out of frame": (96, 104, 116),
 }
-"""Of every `warpav.optimisation.evaluation.metrics.ObjectOutcome`."""
+"""Of every `warpav.optimisation.evaluation._metrics.ObjectOutcome`."""
 
 COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222), (38, 102, 180))
 COVERAGE_WORDS = ("no camera", "one camera", "two cameras", "three or more")
@@ -87,5 +87,4 @@ BASELINE_RGB: dict[str, Rgb] = {
 
 
 def hex_colour(rgb: Rgb) -> str:
-    """The colour as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)

@@ -37,13 +37,11 @@ from warpav.view._palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.optimisation import FurtherCameras
     from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.rig.rig import Rig, RigCamera
-    from warpav.scene.scene import Scene
-    from warpav.sight.check import RequirementResult
-    from warpav.sight.ground import Coverage
+    from warpav.rig import MountSurface, Rig, RigCamera
+    from warpav.scene import Scene
+    from warpav.sight import Coverage, RequirementResult
 
     Plotter = Any
     PolyData = Any
@@ -99,7 +97,6 @@ class Picture:
 
     @property
     def vehicle(self) -> Mesh | None:
-        """What carries the cameras."""
         return self.scene.ego if self.ego is None and self.scene is not None else self.ego
 
     @property
@@ -153,7 +150,7 @@ def rig_plotter(picture: Picture, canvas: Canvas, *, labels: bool = True, sector
             taken_px = _taken_px(plotter, canvas.title, has_scale=picture.further is not None)
             _add_names(plotter, rig.cameras, depth_m=depth_m, taken_px=taken_px)
     if picture.visibility and rig is not None and scene is not None:
-        from warpav.scene.device_scene import DeviceScene
+        from warpav.scene import DeviceScene
 
         packed = DeviceScene.pack(scene)
         for index, camera in enumerate(rig.cameras):

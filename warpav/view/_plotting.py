@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from warpav.core.errors import ArgumentError, InputError, one_line
 from warpav.raster.mesh import Mesh
-from warpav.rig.mount_surface import MountSurface
-from warpav.rig.rig import Rig
-from warpav.scene.scene import Scene
+from warpav.rig import MountSurface, Rig
+from warpav.scene import Scene
 from warpav.view._opengl import display_text, has_display, load_pyvista
 from warpav.view._output import Animation, Canvas, check_suffix, save_animation, save_image
 from warpav.view._picture import Picture, rig_plotter, vehicle_plotter
@@ -310,7 +309,7 @@ def _figure_of_rigs(module: str, kind: str, *further: str) -> None:
     """Registers ``<kind>_figure`` of a module of figures as what draws a kind of rigs on their vehicle."""
 
     def draw(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None, **parts: Any) -> Drawing:  # noqa: ANN401
-        figure = getattr(importlib.import_module(f"warpav.view.figures.{module}"), f"{kind}_figure")
+        figure = getattr(importlib.import_module(f"warpav.view.figures._{module}"), f"{kind}_figure")
         rigs = _by_name(rig) if kind == "ground" else _with_widths(_by_name(rig))
         vehicle = () if kind == "resolution" else (_vehicle(ego, scene, kind),)  # there the body is left out of account
         return figure(rigs, *vehicle, **parts, heading=canvas.title)

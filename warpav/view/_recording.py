@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.detection.images import render
+from warpav.detection import render
 from warpav.raster.lens import Lens
 from warpav.view._layers import Steepest, add_descent, add_legend, add_text, no_render
 from warpav.view._opengl import optional_module
@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.rig.rig import Rig, RigCamera
-    from warpav.scene.scene import Scene
+    from warpav.rig import MountSurface, Rig, RigCamera
+    from warpav.scene import Scene
 
 _FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""

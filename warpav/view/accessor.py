@@ -12,7 +12,7 @@ from warpav.view._opengl import load_pyvista_data
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
-    from warpav.scene.scene import Scene
+    from warpav.scene import Scene
 
     MultiBlock = Any
     PolyData = Any
@@ -29,13 +29,13 @@ class SurfaceAccessor:
 
     def as_mesh(self) -> Mesh:
         """The triangles, with the colours of the point data ``RGB``, grey without; what warpav's functions take."""
-        from warpav.view.blocks import mesh_from_pyvista
+        from warpav.view._blocks import mesh_from_pyvista
 
         return mesh_from_pyvista(self._surface)
 
     def mount_surface(self, *, cell_m: float = 0.02, min_upward_normal: float = 0.9) -> PolyData:
         """Where cameras may stand on this vehicle: one square for each cell that can carry one."""
-        from warpav.rig.mount_surface import mount_surface_from_mesh
+        from warpav.rig import mount_surface_from_mesh
         from warpav.view._layers import zones_to_pyvista
 
         normals: Any = {"min_upward_normal": min_upward_normal, "min_zone_normal": min_upward_normal}
@@ -51,6 +51,6 @@ class BlocksAccessor:
 
     def as_scene(self, name: str | None = None) -> Scene:
         """The scene of ``environment``, ``ego`` and ``vehicle_<instance id>``; the inverse of ``Scene.to_pyvista``."""
-        from warpav.view.blocks import scene_from_pyvista
+        from warpav.view._blocks import scene_from_pyvista
 
         return scene_from_pyvista(self._blocks, name=name)

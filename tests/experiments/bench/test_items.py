@@ -12,8 +12,7 @@ from tests.driving_scene import camera_pose
 from tests.experiments.bench.small_workload import small_workload
 from tests.oracle.ray_cast import RayCaster
 from warpav.core.frames import EGO_FROM_THESIS
-from warpav.experiments.bench._items import Bench, object_type
-from warpav.experiments.bench._reference import _hit_rgb, view_rays
+from warpav.experiments.bench._items import Bench, _hit_rgb, object_type, view_rays
 from warpav.experiments.bench._workload import (
     ROTATION_COUNT,
     WEIGHT_NAMES,

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from tests.architecture.test_startup import HEAVY, modules_after
+from tests.cli.small_run import complaint
 from tests.experiments.bench.small_workload import SIZE, VEHICLES, small_truth, small_workload
 from warpav.cli.app import main
 from warpav.experiments.bench._items import Bench
+from warpav.experiments.bench._run import array_file
 from warpav.experiments.bench._scores import ImageScores, gradient_scores
 from warpav.experiments.bench._workload import WEIGHT_NAMES, Truth
-from warpav.experiments.bench.run import array_file
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -170,10 +171,7 @@ def test_a_sweep_goes_through_every_supersampling(files, capsys):
 def test_bad_input_is_told_in_one_line_and_writes_nothing(files, capsys, argv, message):
     before = sorted(files.iterdir())
     target = [] if "--json" in argv else ["--json", "out.json"]
-    assert main(["bench", *target, *argv]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith(message)
+    assert complaint(capsys, "bench", *target, *argv).startswith(message)
     assert sorted(files.iterdir()) == before
 
 

@@ -11,21 +11,29 @@ from tests.optimisation.evaluation.test_metrics import MODEL, WIDE, ScriptedDete
 from tests.optimisation.evaluation.test_metrics import SCENES as PLACES
 from tests.optimisation.test_missed import probability_model
 from warpav.core.errors import InputError
-from warpav.detection.probability import Appearance
-from warpav.optimisation.evaluation.metrics import OPTIONAL_METRICS, ArmMetrics, metrics_of, observe_scenes
-from warpav.optimisation.evaluation.perturbations import CameraOutages
-from warpav.optimisation.evaluation.statistics import paired_differences
-from warpav.optimisation.importance import Importance
-from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.mount import CameraMount, views_of_rig
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.settings import ImportanceSettings
+from warpav.detection import Appearance
+from warpav.optimisation import (
+    OPTIONAL_METRICS,
+    ArmMetrics,
+    AssignedScene,
+    CameraMount,
+    CameraOutages,
+    CameraProbability,
+    ExpectedMissRate,
+    Importance,
+    ImportanceSettings,
+    ObjectiveOptions,
+    RigObjective,
+    metrics_of,
+    observe_scenes,
+    paired_differences,
+)
+from warpav.optimisation._mount import views_of_rig
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
 from warpav.runs import RigEvaluation
-from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis import BoundsAndSpacing
 
 NEAR = ImportanceSettings(sector_deg=[{"from": -60, "to": 60, "weight": 3.0}, {"from": 60, "to": 120, "weight": 0.5}])
 

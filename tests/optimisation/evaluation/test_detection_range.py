@@ -7,11 +7,11 @@ import pytest
 import warp as wp
 
 from tests.view.stand_ins import ego
-from warpav.detection.images import render_images
-from warpav.detection.probability import DetectionProbability, whole_solid_angle
-from warpav.optimisation.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange, _alone, average_contrast
+from warpav.detection import DetectionProbability, render_images, whole_solid_angle
+from warpav.optimisation import LEAST_HEIGHT_PX, DetectionRange
+from warpav.optimisation.evaluation._detection_range import _alone, average_contrast
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
 
 MODEL = CameraModel(256, 192, math.radians(70.0))
 NEAR_M = (6.0, 15.0, 40.0, 120.0)
@@ -70,7 +70,7 @@ def test_wide_images_are_drawn_with_fewer_pixels_to_the_same_numbers(monkeypatch
     asked = {"categories": ("saloon",), "azimuth_count": 8, "distances_m": (8.0, 30.0, 80.0)}
     wide = rig(0.0, model=CameraModel(800, 600, math.radians(70.0)))
     small = DetectionRange.of(wide, ego(), **asked)
-    monkeypatch.setattr("warpav.optimisation.evaluation.detection_range._WIDTH_PX_MAX", 800)
+    monkeypatch.setattr("warpav.optimisation.evaluation._detection_range._WIDTH_PX_MAX", 800)
     whole = DetectionRange.of(wide, ego(), **asked)
     assert small.probability == pytest.approx(whole.probability, abs=0.02)  # worst seen 0.0013
 

@@ -9,28 +9,28 @@ import pytest
 from tests.driving_scene import SKY, ConstantDetector, block, car, ego_mesh, roof, vehicle
 from tests.optimisation.objectives import evaluate_rig, rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
-from warpav.detection.observe import observe
-from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.evaluation.metrics import (
+from warpav.detection import DetectionProbability, observe
+from warpav.optimisation import (
     PAIRED_METRICS,
-    GroupRecall,
+    AssignedScene,
+    CameraMount,
+    FreeRanges,
+    LossSettings,
+    ObjectiveOptions,
     ObjectOutcome,
     RigObserver,
     observe_scenes,
 )
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
-from warpav.optimisation.objective import ObjectiveOptions
-from warpav.optimisation.settings import LossSettings
+from warpav.optimisation._mount import views_of_rig
+from warpav.optimisation.evaluation._metrics import GroupRecall
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
 from warpav.runs import RigEvaluation
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import Scene
-from warpav.sight.around import body_shares
-from warpav.thesis.segregation import assign_to_nearest_cameras
+from warpav.scene import DeviceScene, Scene
+from warpav.sight import body_shares
+from warpav.thesis import assign_to_nearest_cameras
 
 MODEL = CameraModel(128, 96, math.pi / 2)
 WIDE = CameraModel(96, 96, 2.0)

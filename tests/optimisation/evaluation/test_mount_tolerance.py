@@ -11,11 +11,10 @@ from tests.optimisation.test_modules import cameras_of as mixed_cameras
 from tests.optimisation.test_modules import columns, spread, symmetric_cameras
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
-from warpav.optimisation.evaluation.perturbations import COLUMNS, CameraOutages, MountTolerance, PosedRig
-from warpav.optimisation.mount import HEIGHT_DELTA_M
-from warpav.optimisation.mount_errors import MountErrors
+from warpav.optimisation import HEIGHT_DELTA_M, CameraOutages, MountErrors, MountTolerance, PosedRig
+from warpav.optimisation.evaluation._perturbations import COLUMNS
 from warpav.raster.camera import CameraModel
-from warpav.view.figures import sensitivity_figure
+from warpav.view import sensitivity_figure
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 NAMES = ("front", "left", "rear")

@@ -11,20 +11,15 @@ from tests.driving_scene import SKY, ConstantDetector, car, vehicle
 from tests.optimisation.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
 from tests.optimisation.objectives import evaluate_rig
 from tests.raster.test_renderer import FAR_AWAY
-from warpav.detection.observe import observe
-from warpav.optimisation.evaluation.metrics import (
-    DISTANCE_EDGES_M,
-    GroupRecall,
-)
-from warpav.optimisation.evaluation.statistics import paired_differences
-from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import views_of_rig
+from warpav.detection import observe
+from warpav.optimisation import AssignedScene, paired_differences
+from warpav.optimisation._mount import views_of_rig
+from warpav.optimisation.evaluation._metrics import DISTANCE_EDGES_M, GroupRecall
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import Rig
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.scene import ROAD_USERS, Scene
-from warpav.sight.requirement import SECTORS
+from warpav.rig import Rig
+from warpav.scene import ROAD_USERS, DeviceScene, Scene
+from warpav.sight import SECTORS
 
 AHEAD, ASIDE, TINY = (9.0, 0.0, 0.4), (0.0, 9.0, 0.4), (45.0, -6.0, 0.0)
 BOTH_AHEAD = (0.0, 0.2)  # yaws of two cameras that see the same

@@ -10,19 +10,13 @@ import warpav as wa
 from tests.driving_scene import street
 from tests.optimisation.test_modules import columns, models, probabilities, symmetric_cameras
 from warpav.core.errors import InputError
-from warpav.optimisation.evaluation.perturbations import (
-    LoadState,
-    PosedRig,
-    SoiledPart,
-    Soiling,
-    loaded_scene,
-    soiled_scene,
-)
-from warpav.optimisation.mount import views_of_rig
+from warpav.optimisation import LoadState, PosedRig, SoiledPart, Soiling
+from warpav.optimisation._mount import views_of_rig
+from warpav.optimisation.evaluation._perturbations import loaded_scene, soiled_scene
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.device_scene import DeviceScene
+from warpav.rig import Rig, RigCamera
+from warpav.scene import DeviceScene
 
 PARTS = [
     SoiledPart("disc", (0.5, 0.5), 0.2),

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from warpav.optimisation.evaluation.metrics import PAIRED_METRICS, ArmMetrics
-from warpav.optimisation.evaluation.statistics import (
+from warpav.optimisation import (
+    PAIRED_METRICS,
+    ArmMetrics,
     Difference,
     Estimate,
     paired_difference,

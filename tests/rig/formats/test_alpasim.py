@@ -9,9 +9,8 @@ import yaml
 from tests.rig.formats.known_pose import ALPASIM, POSITION_M, write_sample
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
+from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, import_rig_with_notes
 from warpav.rig.formats._alpasim import READ_PX, WRITE_PX
-from warpav.rig.formats.convert import ImportOptions, export_rig_with_notes, import_rig_with_notes
-from warpav.rig.rig import Rig, RigCamera
 
 PINHOLE = CameraModel(640, 480, focal_px=(500.0, 501.0), centre_px=(310.0, 240.0))
 BROWN = {"lens": "brown_conrady", "focal_px": (1300.0, 1310.0), "centre_px": (810.0, 441.0)}

@@ -13,14 +13,17 @@ from tests.rig.formats.known_pose import NUSCENES, URDF, write_sample
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import (
-    FORMAT_NAMES,
+from warpav.rig import (
+    RIG_FORMATS,
     ImportOptions,
+    Rig,
+    RigCamera,
     export_rig_with_notes,
-    find_format,
     import_rig_with_notes,
+    read_rig,
+    write_rig,
 )
-from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.rig.formats._convert import find_format
 
 SIZED = ImportOptions(width_px=640, height_px=480)
 
@@ -130,7 +133,7 @@ def test_a_mistake_in_a_file_is_named(tmp_path, name, old, new, message):
     assert message in refusal(spoilt(name, tmp_path, old, new), name)
 
 
-@pytest.mark.parametrize("name", [name for name in FORMAT_NAMES if name not in ("camera-info", "argoverse2")])
+@pytest.mark.parametrize("name", [name for name in RIG_FORMATS if name not in ("camera-info", "argoverse2")])
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[[[[", b"{}", b"null", b"<robot/>", b"a: 1\n", b"P0: 1"])
 def test_a_file_of_something_else_is_refused(tmp_path, name, content):
     file = tmp_path / "file.json"

@@ -25,8 +25,7 @@ from tests.rig.formats.known_pose import (
     write_sample,
 )
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import ImportOptions, export_rig_with_notes, import_rig_with_notes
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, import_rig_with_notes
 
 SIZED = ImportOptions(width_px=640, height_px=480)
 RIG = Rig([RigCamera("front_left", np.array(POSITION_M), YAW_RAD, PITCH_RAD, ROLL_RAD, CameraModel(640, 480))])

@@ -12,21 +12,24 @@ from scipy.spatial.transform import Rotation
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation, rotation_from_quaternion
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.convert import (
-    FORMAT_NAMES,
+from warpav.rig import (
+    EXPORTED_ONLY,
+    IMPORTED_ONLY,
+    RIG_FORMATS,
     ImportOptions,
+    Rig,
+    RigCamera,
     export_rig_with_notes,
-    find_format,
     formats_for,
     import_rig_with_notes,
 )
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig.formats._convert import find_format
 
 HAS_ARROW = importlib.util.find_spec("pyarrow") is not None
 BOTH_WAYS = [
     pytest.param(name, marks=[] if name != "argoverse2" or HAS_ARROW else pytest.mark.skip(reason="needs pyarrow"))
-    for name in FORMAT_NAMES
-    if find_format(name).read is not None and find_format(name).write is not None
+    for name in RIG_FORMATS
+    if name not in (*IMPORTED_ONLY, *EXPORTED_ONLY)
 ]
 ANY_LENS = ("urdf", "autoware", "opencv", "alpasim")
 CENTRED = ("carla-ros-bridge", "carla-python")
@@ -120,6 +123,11 @@ def test_a_rig_survives_every_format(tmp_path_factory, name, data):
     assert_same(rig, through(rig, name, tmp_path_factory.mktemp("rig") / "out", **place), tolerance=5e-7)
 
 
+def test_the_help_says_which_way_formats_go():
+    assert [name for name in RIG_FORMATS if find_format(name).write is None] == [*IMPORTED_ONLY]
+    assert [name for name in RIG_FORMATS if find_format(name).read is None] == [*EXPORTED_ONLY]
+
+
 def test_every_rig_says_which_formats_hold_it():
     cameras = {
         "plain": CameraModel(640, 480, 1.2),
@@ -131,7 +139,7 @@ def test_every_rig_says_which_formats_hold_it():
     fitting = {}
     for name, model in cameras.items():
         fit, unfit = formats_for(Rig([RigCamera(name, np.zeros(3), 0.0, 0.0, 0.0, model)]))
-        assert {*fit, *unfit} == set(FORMAT_NAMES) - {"kalibr"}
+        assert {*fit, *unfit} == set(RIG_FORMATS) - {*IMPORTED_ONLY}
         assert all(name in reason for other, reason in unfit.items() if other != "argoverse2")
         fitting[name] = set(fit) - {"argoverse2"}
     lenses = {"urdf", "autoware", "camera-info", "opencv", "alpasim"}

@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera, write_rig
+from warpav.rig import Rig, RigCamera, write_rig
 from warpav.runs import RunFolder
 from warpav.runs._rig_evaluation import TABLE_ROWS
 from warpav.runs.config import load_config

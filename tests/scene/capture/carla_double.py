@@ -21,7 +21,8 @@ import numpy as np
 
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
-from warpav.scene.capture.capture import CaptureView, ViewKind
+from warpav.scene import ViewKind
+from warpav.scene.capture._capture import CaptureView
 
 GROUND = (1, 77)  # semantic tag and number
 VEGETATION_TAG, BUILDING_TAG, CAR_TAG = 9, 3, 14

@@ -8,6 +8,7 @@ import pytest
 from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server
 from warpav.core.frames import rotation_from_yaw_pitch_roll
+from warpav.scene import Box
 from warpav.scene.capture._carla_client import (
     boxes_overlap,
     code_from_bgra,
@@ -16,7 +17,6 @@ from warpav.scene.capture._carla_client import (
     lane_places,
     meets_box,
 )
-from warpav.scene.scene import Box
 
 
 def test_own_points_lie_on_the_road_and_come_before_those_of_lanes():

@@ -13,9 +13,9 @@ from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server, first_vehicle, install, view_above
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
+from warpav.scene import PlanSettings, read_capture
 from warpav.scene.capture._carla_simulator import CarlaSimulator
-from warpav.scene.capture.capture import PlanSettings
-from warpav.scene.capture.folder import check_capture, read_capture, record_capture
+from warpav.scene.capture._folder import check_capture, record_capture
 
 
 class TestWorld:

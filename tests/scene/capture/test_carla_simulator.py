@@ -8,8 +8,9 @@ import pytest
 from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server, first_vehicle, install, view_above, view_from
 from warpav.core.frames import rotation_from_yaw_pitch_roll
+from warpav.scene import EGO_INSTANCE
+from warpav.scene.capture._capture import SpawnPoint
 from warpav.scene.capture._carla_simulator import CarlaSimulator
-from warpav.scene.capture.capture import EGO_INSTANCE, SpawnPoint
 
 EGO_SIZE_M, EGO_CENTER_M = [4.9, 2.1, 1.48], [0.05 + 1.35, 0.0, 0.75]  # the double's, from its rear axle
 

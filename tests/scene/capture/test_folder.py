@@ -9,8 +9,8 @@ import pytest
 
 from tests.scene.capture.test_plan import EGO_BOX, ScriptedSimulator
 from warpav.core.errors import InputError
-from warpav.scene.capture.capture import CapturedImage, PlanSettings
-from warpav.scene.capture.folder import DESCRIPTION, check_capture, read_capture, record_capture
+from warpav.scene import CapturedImage, PlanSettings, read_capture
+from warpav.scene.capture._folder import DESCRIPTION, check_capture, record_capture
 
 SETTINGS = PlanSettings(
     vehicle_count=2, width_px=48, height_px=32, scene_heights_m=(12.0,), rotation_count=2, ego_side_count=0

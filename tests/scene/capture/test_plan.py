@@ -7,17 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.scene.capture.capture import (
-    CapturedImage,
+from warpav.scene import Box, CapturedImage, PlanSettings, ViewKind
+from warpav.scene.capture._capture import (
     CapturedVehicle,
-    PlanSettings,
     SpawnPoint,
-    ViewKind,
     _eye_position_m,
     capture_plan,
     spawn_visible_traffic,
 )
-from warpav.scene.scene import Box
 
 EGO_BOX = Box(np.array([1.3, 0.0, 0.75]), np.array([4.7, 2.0, 1.5]), 0.0)
 PLAN = PlanSettings()

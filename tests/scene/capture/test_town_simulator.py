@@ -5,9 +5,9 @@ import pytest
 
 from tests.oracle.ray_cast import RayCaster
 from tests.scene.capture.town_capture import SEED, town_capture
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, PlanSettings, ViewKind
-from warpav.scene.capture.town_simulator import _PANE_OPACITY, TownSimulator
-from warpav.scene.town.town import town_world
+from warpav.scene import EGO_INSTANCE, ENVIRONMENT_INSTANCE, PlanSettings, TownSimulator, ViewKind
+from warpav.scene.capture._town_simulator import _PANE_OPACITY
+from warpav.scene.town._town import town_world
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,7 @@
 
 from functools import cache
 
-from warpav.scene.capture.capture import PlanSettings, record
-from warpav.scene.capture.town_simulator import TownSimulator
+from warpav.scene import PlanSettings, TownSimulator, record
 
 SEED = 3
 SETTINGS = PlanSettings(vehicle_count=4, width_px=320, height_px=240)

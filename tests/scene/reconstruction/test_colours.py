@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from warpav.raster.camera import CameraModel
-from warpav.scene.capture.capture import CapturedImage, CaptureView, ViewKind
-from warpav.scene.reconstruction.point_cloud import seen_rgb
+from warpav.scene import CapturedImage, ViewKind
+from warpav.scene.capture._capture import CaptureView
+from warpav.scene.reconstruction._point_cloud import seen_rgb
 
 RED, GREEN, BLUE, GREY = (200, 10, 10), (10, 200, 10), (10, 10, 200), (90, 90, 90)
 INSTANCE = 4

@@ -6,11 +6,9 @@ from scipy.spatial import KDTree
 
 from tests.scene.capture.town_capture import SEED, town_capture
 from warpav.raster.camera import CameraModel
-from warpav.scene.capture.capture import Capture, CapturedImage, CapturedVehicle, CaptureView, ViewKind
-from warpav.scene.reconstruction.point_cloud import fuse, is_outside, unproject
-from warpav.scene.reconstruction.settings import CloudSettings
-from warpav.scene.scene import Box
-from warpav.scene.town.town import town_scene
+from warpav.scene import Box, Capture, CapturedImage, CloudSettings, ViewKind, fuse, town_scene, unproject
+from warpav.scene.capture._capture import CapturedVehicle, CaptureView
+from warpav.scene.reconstruction._point_cloud import is_outside
 
 SETTINGS = CloudSettings()
 

@@ -9,14 +9,21 @@ from scipy.spatial import KDTree
 
 from tests.scene.reconstruction.test_point_cloud import surface_points
 from warpav.core.errors import InputError
-from warpav.scene.capture.capture import Capture, PlanSettings
-from warpav.scene.capture.folder import read_capture, record_capture
-from warpav.scene.capture.town_simulator import TownSimulator
-from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.reconstruction.reconstruct import reconstruct
-from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
-from warpav.scene.scene import Box
-from warpav.scene.town.town import town_scene
+from warpav.scene import (
+    Box,
+    Capture,
+    CloudSettings,
+    PlanSettings,
+    ReconstructionSettings,
+    TownSimulator,
+    read_capture,
+    read_scene,
+    reconstruct,
+    town_scene,
+    write_scene,
+)
+from warpav.scene.capture._folder import record_capture
+from warpav.scene.reconstruction._settings import MeshSettings
 
 SEED = 4
 PLAN = PlanSettings(vehicle_count=2, width_px=240, height_px=180, scene_heights_m=(14.0, 28.0), rotation_count=4)

@@ -8,14 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from warpav.raster.mesh import Mesh, merge
-from warpav.scene.reconstruction.surface import (
-    SURFACE_METHODS,
-    cleaned,
-    decimated,
-    oriented_normals,
-    thin_out,
-    trimmed,
-)
+from warpav.scene import thin_out
+from warpav.scene.reconstruction._surface import SURFACE_METHODS, cleaned, decimated, oriented_normals, trimmed
 
 
 def directions(count, rng):

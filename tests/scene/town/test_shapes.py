@@ -5,10 +5,10 @@ import pytest
 
 from tests.scene.town.closed_surface import back_face_share, signed_volume_m3, unmatched_edge_count
 from warpav.raster.mesh import Mesh
+from warpav.scene import person_mesh, vehicle_mesh
 from warpav.scene.town._furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town._surface_builder import SurfaceBuilder
-from warpav.scene.town.people import person_mesh
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, ego_mesh, vehicle_mesh
+from warpav.scene.town._vehicle_shapes import VARIANT_COUNT, ego_mesh
 
 
 def mesh_of(surface):

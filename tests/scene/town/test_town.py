@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.runs.config import load_config
+from warpav.scene import LEVELS, level_scene, town_scene
 from warpav.scene.town._placed_vehicle import _HEADWAY_S, _STREET_KM_H, Sight, stop_lines, velocities_m_s
 from warpav.scene.town._street_life import RoadUser
+from warpav.scene.town._town import EYE_HEIGHT_M
 from warpav.scene.town._town_layout import Footprint, Layout, Slot
-from warpav.scene.town.levels import LEVELS, level_scene
-from warpav.scene.town.town import EYE_HEIGHT_M, town_scene
 
 
 @pytest.fixture(scope="module")

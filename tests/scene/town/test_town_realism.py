@@ -6,8 +6,8 @@ Counted are vehicles of 40 px and more, 60 % of which are unoccluded.
 import pytest
 
 from network_recall import CONFIDENCE_MIN, FIRST_UNSEEN_SEED, judge
-from warpav.detection.onnx_detector import OnnxDetector
-from warpav.scene.town.town import town_scene
+from warpav.detection import OnnxDetector
+from warpav.scene import town_scene
 
 UNSEEN_SEEDS = range(FIRST_UNSEEN_SEED, FIRST_UNSEEN_SEED + 40)
 

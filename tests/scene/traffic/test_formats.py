@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.scene.places import recordings_of
+from warpav.scene._places import recordings_of
 from warpav.scene.traffic.files import content_digest, is_recording, read_recording, recordings_in
 from warpav.scene.traffic.formats import _json_rows
 from warpav.scene.traffic.formats._rows import USUAL_SIZE_M, steps_of

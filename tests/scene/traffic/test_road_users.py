@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scene.town.closed_surface import unmatched_edge_count
-from warpav.scene.scene import road_user_of
+from warpav.scene import road_user_of
 from warpav.scene.traffic._road_users import body_mesh, drawn_kind
 
 SIZES = [

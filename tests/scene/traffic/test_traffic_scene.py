@@ -11,12 +11,11 @@ from embreex.rtcore_scene import EmbreeScene
 
 from tests.scene.traffic.recordings import recording_of, street, track, write
 from warpav.raster.mesh import Mesh
-from warpav.scene.cache import built_scenes
-from warpav.scene.files import read_scenes
-from warpav.scene.scene import outline_gap_m, rectangle_m
+from warpav.scene import ego_vehicle, read_scenes
+from warpav.scene._cache import built_scenes
+from warpav.scene._scene import outline_gap_m, rectangle_m
 from warpav.scene.town._houses import KERB_HEIGHT_M
 from warpav.scene.town._town_layout import Footprint
-from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.files import read_recording, shipped_recordings
 from warpav.scene.traffic.moments import REACH_M, Moment, moment_of, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource, traffic_scene

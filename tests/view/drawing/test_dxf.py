@@ -9,9 +9,9 @@ import pytest
 
 from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig import Rig, RigCamera
+from warpav.view import mount_drawing
 from warpav.view.drawing._dxf import BLOCK, LAYERS
-from warpav.view.drawing.mount_drawing import mount_drawing
 
 RIG = Rig(
     [

@@ -12,9 +12,9 @@ import pytest
 from tests.view.stand_ins import ego, rig
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig.catalogue import builtin_modules
-from warpav.rig.rig import Rig, RigCamera
-from warpav.view.drawing.mount_drawing import _PAGE_MM, mount_drawing
+from warpav.rig import Rig, RigCamera, builtin_modules
+from warpav.view import mount_drawing
+from warpav.view.drawing._mount_drawing import _PAGE_MM
 from warpav.view.figures._style import text_width_mm
 
 

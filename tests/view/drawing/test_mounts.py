@@ -10,9 +10,8 @@ import trimesh
 
 from tests.view.stand_ins import ego
 from warpav.raster.camera import CameraModel
-from warpav.rig.catalogue import builtin_modules
-from warpav.rig.rig import Rig, RigCamera
-from warpav.scene.glb import GLTF_FROM_EGO
+from warpav.rig import Rig, RigCamera, builtin_modules
+from warpav.scene._glb import GLTF_FROM_EGO
 from warpav.view.drawing._mounts import COLUMNS, FRUSTUM_DEPTH_M, mount_csv, mount_glb, mounts
 
 MODULE = builtin_modules()["side_2mp_100"]

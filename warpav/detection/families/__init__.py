@@ -30,6 +30,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from warpav.core.errors import InputError, OptionError
+from warpav.detection.families._family import BACKGROUND, COCO_80, COCO_91, Family, NetworkFile
 from warpav.detection.families._layouts import (
     Rtdetr,
     RtdetrSingle,
@@ -40,7 +41,6 @@ from warpav.detection.families._layouts import (
     Yolox,
     YoloxDecoded,
 )
-from warpav.detection.families.family import BACKGROUND, COCO_80, COCO_91, Family, NetworkFile
 
 FAMILIES: tuple[type[Family], ...] = (
     Ultralytics,

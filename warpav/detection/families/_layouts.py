@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warpav.detection.families.family import (
+from warpav.detection.families._family import (
     COCO_80,
     COCO_91,
     GREY,

@@ -105,7 +105,6 @@ def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: 
 
 
 def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> tuple[Tensor, Tensor]:
-    """Loss of a batch."""
     assignment = assign_cells(score_logit, box_px, center_px, truth)
     norm = assignment.target.sum().clamp(min=1.0)
 

@@ -159,7 +159,7 @@ class TownNetwork(nn.Module):
 
 
 class _ExportedNetwork(nn.Module):
-    """The network with the output layout that `warpav.detection.onnx_detector` reads."""
+    """The network with the output layout that `warpav.detection._onnx_detector` reads."""
 
     def __init__(self, network: TownNetwork) -> None:
         super().__init__()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 import time
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.experiments.bench._workload import ROTATION_COUNT, WEIGHT_NAMES, Workload, workload_objects
+from warpav.experiments.bench._workload import ROTATION_COUNT, WEIGHT_NAMES, Truth, Workload, workload_objects
 from warpav.raster.areas import Measures
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
@@ -22,7 +23,8 @@ from warpav.raster.chunks import MAX_CHUNK_VIEWS, chunk_view_count, record_graph
 from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
-from warpav_kernels.experiments import benchmark
+from warpav.scene import triangle_caster
+from warpav_kernels.placement import benchmark
 from warpav_kernels.raster import linearise
 
 _MAX_SILHOUETTE_SAMPLES = 1 << 26  # of the images of silhouettes that are measured together
@@ -31,8 +33,6 @@ _SCORED_AT_ONCE = 4  # poses
 
 @dataclass(frozen=True)
 class Timing:
-    """How long something took, and what it held."""
-
     times_ms: list[float]
     threads: int
     setup_ms: float
@@ -41,8 +41,6 @@ class Timing:
 
 
 class Bench:
-    """A workload on a device, ready to be measured."""
-
     def __init__(self, workload: Workload, scene: Scene, *, device: str = "cpu") -> None:
         self.workload = workload
         self.scene = scene
@@ -280,3 +278,67 @@ def _peak_process_mib() -> float | None:
         return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
+    """Wall times of every repeat [ms], by item."""
+    scene = triangle_caster(workload.vertex_m[workload.triangle])
+    times_ms: dict[str, list[float]] = {"w2": [], "w3": []}
+    for number in range(repeat + 1):
+        cast_s = shade_s = 0.0
+        for origin_m, direction in view_rays(workload):
+            began = time.perf_counter()
+            hit = scene.run(origin_m, direction, output=1)
+            cast_s += time.perf_counter() - began
+            began = time.perf_counter()
+            _hit_rgb(workload, hit)
+            shade_s += time.perf_counter() - began
+        if number > 0:
+            times_ms["w2"].append(1000.0 * cast_s)
+            times_ms["w3"].append(1000.0 * (cast_s + shade_s))
+    return times_ms
+
+
+def embree_truth(workload: Workload) -> Truth:
+    """Objects and depths of all views by embree, without gradients: for lenses that no truth file knows."""
+    scene = triangle_caster(workload.vertex_m[workload.triangle])
+    shape = (workload.size_px, workload.size_px)
+    near_m = np.repeat(workload.near_m, ROTATION_COUNT)
+    index, depth_m = [], []
+    for view, (origin_m, direction) in enumerate(view_rays(workload)):
+        hit = scene.run(origin_m, direction, output=1)
+        is_hit = (hit["primID"] >= 0) & (direction != 0.0).any(axis=1)
+        index.append(np.where(is_hit, workload.triangle_object[hit["primID"]], -1).reshape(shape))
+        depth_m.append(np.where(is_hit, hit["tfar"] + near_m[view], -1.0).reshape(shape))
+    views = np.arange(len(index))
+    return Truth("embree", {}, {}, views, np.stack(index), np.stack(depth_m).astype(np.float32))
+
+
+def view_rays(workload: Workload) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Rays of every view in turn, in the workload's world: origins on the near plane [m], and directions of depth 1.
+
+    Both float32 [ray, 3], rows of the image one behind the other; directions of 0 where the lens sees nothing.
+    """
+    size = workload.size_px
+    row, column = np.mgrid[0:size, 0:size] + 0.5
+    models = workload.models(range(len(workload.pose)))
+    for camera, (x_m, z_m, yaw_rad) in enumerate(workload.pose):
+        ray = np.nan_to_num(models[ROTATION_COUNT * camera].rays(np.stack([column, row], axis=-1)).reshape(-1, 3))
+        centre_m = np.array([x_m, workload.height_m[camera], z_m])
+        for rotation in range(ROTATION_COUNT):
+            angle_rad = yaw_rad + rotation * 0.5 * math.pi
+            forward = np.array([math.sin(angle_rad), 0.0, math.cos(angle_rad)])
+            left = np.array([math.cos(angle_rad), 0.0, -math.sin(angle_rad)])
+            direction = ray @ np.stack([-left, [0.0, -1.0, 0.0], forward])
+            origin_m = centre_m + workload.near_m[camera] * direction
+            yield origin_m.astype(np.float32), direction.astype(np.float32)
+
+
+def _hit_rgb(workload: Workload, hit: dict[str, np.ndarray]) -> np.ndarray:
+    """Vertex colours interpolated at the hits of rays, float32 [ray, 3]; 0 where nothing is hit."""
+    seen = np.flatnonzero(hit["primID"] >= 0)
+    corner_rgb = workload.vertex_rgb[workload.triangle[hit["primID"][seen]]]
+    u, v = hit["u"][seen, None], hit["v"][seen, None]
+    rgb = np.zeros((len(hit["primID"]), 3), np.float32)
+    rgb[seen] = (1.0 - u - v) * corner_rgb[:, 0] + u * corner_rgb[:, 1] + v * corner_rgb[:, 2]
+    return rgb

@@ -49,8 +49,6 @@ LENSES: dict[str, tuple[float | None, tuple[float, ...]]] = {
 
 @dataclass(frozen=True)
 class Workload:
-    """A workload of format 1."""
-
     name: str
     vertex_m: np.ndarray  # vertices of all objects in the workload's world [m], float32 [vertex, 3]
     triangle: np.ndarray  # vertex indices of all objects, one behind the other, int32 [triangle, 3]
@@ -104,8 +102,6 @@ class Workload:
 
 @dataclass(frozen=True)
 class Truth:
-    """What a workload's results should be."""
-
     name: str
     # of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight; empty: not known
     gradient: dict[str, np.ndarray]

@@ -104,12 +104,10 @@ class SelectionProblem:
 
     @property
     def camera_count(self) -> int:
-        """Cameras of the pool."""
         return self.missed.shape[1]
 
     @property
     def object_count(self) -> int:
-        """Objects that some camera of the pool sees."""
         return self.missed.shape[0]
 
     @cached_property

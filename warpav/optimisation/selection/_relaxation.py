@@ -169,8 +169,6 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """The relaxation of a node."""
-
     bound: float  # lower bound on the expected miss rate of the node's rigs; inf where it has none
     value: float = math.inf  # relaxed expected miss rate of the fractional choice
     fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))  # the fractional choice, float64 [camera]

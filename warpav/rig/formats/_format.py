@@ -71,19 +71,16 @@ class Record:
         return self.at(next((key for key in keys if self.at(key).value is not None), keys[0]))
 
     def mapping(self, expected: str = "a mapping") -> dict[str, Record]:
-        """The records of a mapping, in the file's order."""
         if not isinstance(self.value, dict):
             raise self.error(expected)
         return {key: self.at(key) for key in self.value}
 
     def items(self, expected: str = "a list") -> list[Record]:
-        """The records of a list."""
         if not isinstance(self.value, list):
             raise self.error(expected)
         return [self.at(i) for i in range(len(self.value))]
 
     def text(self, default: str | None = None) -> str:
-        """A text that is not empty."""
         if self.value is None and default is not None:
             return default
         if not isinstance(self.value, str) or not self.value.strip():
@@ -91,7 +88,6 @@ class Record:
         return self.value.strip()
 
     def one_of(self, words: Iterable[str]) -> str:
-        """One of some words."""
         known = list(words)
         if not isinstance(self.value, str) or self.value not in known:
             got = f"{self.value!r}{nearest(self.value, known)}" if isinstance(self.value, str) else None
@@ -99,7 +95,6 @@ class Record:
         return self.value
 
     def number(self, default: float | None = None) -> float:
-        """A finite number."""
         if self.value is None and default is not None:
             return default
         if not is_number(self.value):
@@ -107,7 +102,6 @@ class Record:
         return float(self.value)
 
     def whole(self, default: int | None = None) -> int:
-        """A whole number, also where it is written with a point."""
         value = self.value
         if value is None and default is not None:
             return default

@@ -8,8 +8,8 @@ from pathlib import Path
 from warpav.core.errors import InputError
 from warpav.core.records import nearest
 from warpav.raster.mesh import Mesh
-from warpav.rig.on_body import Body, MovedRig, put_on_body
-from warpav.rig.rig import Rig, read_rig
+from warpav.rig._on_body import Body, MovedRig, put_on_body
+from warpav.rig._rig import Rig, read_rig
 
 HAND_RIGS = ("corners", "cross", "edge", "highest")
 """Names of rigs by hand; like `HIGHEST` they need a vehicle to stand on."""

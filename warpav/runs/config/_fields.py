@@ -23,11 +23,9 @@ from warpav.core.section import (
     shown,
 )
 from warpav.core.yaml_file import read_yaml
-from warpav.rig.presets import HAND_RIGS, preset_names
-from warpav.scene.scene import ROAD_USERS
-from warpav.scene.town.levels import LEVELS, Level
-from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
-from warpav.sight.templates import template_names
+from warpav.rig import HAND_RIGS, preset_names
+from warpav.scene import LEVELS, ROAD_USERS, SHIPPED, Level, vehicle_file, vehicle_names
+from warpav.sight import template_names
 
 BY_HAND = "by_hand"
 """The start that is the best of some rigs by hand."""
@@ -202,7 +200,7 @@ Recordings = Annotated[tuple[Path, ...], *_paths("paths of recorded traffic, suc
 
 
 def _read_places(value: object) -> object:
-    from warpav.scene.places import KNOWN_PLACES, recordings_of
+    from warpav.scene import KNOWN_PLACES, recordings_of
 
     given = list(value) if isinstance(value, (list, tuple)) else [value]
     places = [place for place in given if isinstance(place, str)]

@@ -21,15 +21,12 @@ from warpav.core.errors import InputError, OptionError
 from warpav.core.records import schema_of
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
-from warpav.rig.catalogue import ModulesForm
-from warpav.rig.presets import is_preset
-from warpav.rig.rig import RigForm
-from warpav.rig.zone import ZonesForm
+from warpav.rig import ModulesForm, RigForm, ZonesForm, is_preset
 from warpav.runs.config._explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config._fields import NAMED_STARTS
 from warpav.runs.config._schema import EXTENDS, KEPT_FILES, ConfigTree, find_config, merged
-from warpav.scene.vehicles import vehicle_file
-from warpav.sight.read import RequirementsForm
+from warpav.scene import vehicle_file
+from warpav.sight import RequirementsForm
 
 if TYPE_CHECKING:
     from warpav import Placement

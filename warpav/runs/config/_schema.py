@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 from warpav.core.errors import InputError
 from warpav.core.section import Degrees, Expectation, Metres, Section, mistake, shown
 from warpav.core.yaml_file import read_yaml
-from warpav.optimisation.settings import (
+from warpav.optimisation import (
     METHOD_LOSSES,
     ImportanceSettings,
     LossSettings,
@@ -26,7 +26,7 @@ from warpav.optimisation.settings import (
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
-from warpav.rig.module import PLAIN
+from warpav.rig import PLAIN
 from warpav.runs.config._fields import (
     AUTO,
     BY_HAND,
@@ -61,8 +61,8 @@ from warpav.runs.config._fields import (
     ZonesFile,
     read_count,
 )
-from warpav.scene.scene import ROAD_USERS, road_user_of
-from warpav.sight.templates import template_names
+from warpav.scene import ROAD_USERS, road_user_of
+from warpav.sight import template_names
 
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""

@@ -10,8 +10,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
-from warpav.optimisation.further_camera import FurtherCameras
-from warpav.rig.rig import Rig
+from warpav.optimisation import FurtherCameras
+from warpav.rig import Rig
 from warpav.runs._events import Certificate, Event
 from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._run_folder import RunFolder

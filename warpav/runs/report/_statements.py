@@ -12,15 +12,11 @@ import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
 from warpav.core.table import Table
-from warpav.optimisation.constraints import Margin
-from warpav.optimisation.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOutcome
-from warpav.optimisation.evaluation.statistics import Difference
-from warpav.optimisation.mount_errors import ANGLES
-from warpav.rig.rig import Rig
+from warpav.optimisation import ANGLES, REDUNDANT_WITHIN_M, Difference, Margin, ObjectOutcome
+from warpav.rig import Rig
 from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, Robust, heading_of
 from warpav.runs.report._content import RunContent
-from warpav.sight.requirement import SECTORS
-from warpav.sight.rules import RuleMargin
+from warpav.sight import SECTORS, RuleMargin
 
 _Tone = Literal["good", "bad", "open"]
 

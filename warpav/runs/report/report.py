@@ -16,8 +16,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.table import Table
-from warpav.optimisation.evaluation.metrics import ObjectOutcome
-from warpav.rig.rig import Rig
+from warpav.optimisation import ObjectOutcome
+from warpav.rig import Rig
 from warpav.runs._mounts import has_zones
 from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, heading_of
 from warpav.runs._run_folder import RunFolder
@@ -25,8 +25,8 @@ from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import _statements as words
 from warpav.runs.report._content import RunContent, read_content
 from warpav.runs.report.tables import next_commands
-from warpav.sight.requirement import SECTORS, sectors_of
-from warpav.view.figures import figure_bytes, loss_figure, search_figure
+from warpav.sight import SECTORS, sectors_of
+from warpav.view import figure_bytes, loss_figure, search_figure
 
 if TYPE_CHECKING:
     from jinja2 import Template

@@ -24,8 +24,8 @@ from warpav.core.frames import (
 )
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.scene.capture.capture import rigid_pose
-from warpav.scene.scene import Box, outline_gap_m
+from warpav.scene._scene import Box, outline_gap_m
+from warpav.scene.capture._capture import rigid_pose
 
 Remote: TypeAlias = Any  # something that the optional package ``carla`` defines; its types cannot be named here
 REACH_S = 2.5  # time within which a server answers

@@ -24,6 +24,16 @@ from warpav.core.frames import (
     rotation_from_yaw_pitch_roll,
 )
 from warpav.raster.camera import CameraModel
+from warpav.scene._scene import Box
+from warpav.scene.capture._capture import (
+    EGO_INSTANCE,
+    CapturedImage,
+    CapturedVehicle,
+    CaptureView,
+    Simulator,
+    SpawnPoint,
+    rigid_pose,
+)
 from warpav.scene.capture._carla_client import (
     Remote,
     boxes_overlap,
@@ -44,16 +54,6 @@ from warpav.scene.capture._carla_client import (
     transform_of,
     unreachable,
 )
-from warpav.scene.capture.capture import (
-    EGO_INSTANCE,
-    CapturedImage,
-    CapturedVehicle,
-    CaptureView,
-    Simulator,
-    SpawnPoint,
-    rigid_pose,
-)
-from warpav.scene.scene import Box
 
 _WAYPOINT_SPACING_M = 10.0
 _ANSWER_S = 2.0  # with `REACH_S` below the 5 s within which a missing server is reported

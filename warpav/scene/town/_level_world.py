@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
-from warpav.scene.scene import Scene, Vehicle
+from warpav.scene._scene import Scene, Vehicle
 from warpav.scene.town._houses import SHADOW_SEGMENTS, SceneryBuilder
+from warpav.scene.town._people import person_mesh
 from warpav.scene.town._placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle, Sight, velocities_m_s
 from warpav.scene.town._street_life import Crowd, Person, RoadUser, upright_box
 from warpav.scene.town._surface_builder import StreetGround
+from warpav.scene.town._town import drawn_sky, ego_vehicle
 from warpav.scene.town._town_layout import Footprint, Occupied, Slot
-from warpav.scene.town.people import person_mesh
-from warpav.scene.town.town import drawn_sky, ego_vehicle
 
 # Road users farther from the ego vehicle have coarse meshes, the second those of lorries and buses.
 _COARSE_FROM_M, _LONG_COARSE_FROM_M = 28.0, 60.0

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import yaw_rotation
+from warpav.scene._scene import yaw_rotation
 from warpav.scene.town._furniture import furniture_mesh
 from warpav.scene.town._houses import SceneryBuilder, cells_of
 from warpav.scene.town._level_world import LevelWorld

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import triangle_caster
+from warpav.scene._scene import triangle_caster
 from warpav.scene.town._surface_builder import Surface
 
 

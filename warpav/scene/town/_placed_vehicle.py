@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
-from warpav.scene.scene import triangle_caster
+from warpav.scene._scene import triangle_caster
 from warpav.scene.town._paint import drawn_paint
 from warpav.scene.town._street_life import RoadUser
 from warpav.scene.town._surface_builder import StreetGround
 from warpav.scene.town._town_layout import Footprint, Lane, Layout
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh, vehicle_size_m
+from warpav.scene.town._vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh, vehicle_size_m
 
 LONG_KINDS = ("lorry", "bus")
 _SCALE_SPREAD = 0.03

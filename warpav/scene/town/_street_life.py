@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import Box, yaw_rotation
+from warpav.scene._scene import Box, yaw_rotation
 from warpav.scene.town._furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town._houses import KERB_HEIGHT_M
+from warpav.scene.town._people import person_mesh
 from warpav.scene.town._surface_builder import StreetGround
 from warpav.scene.town._town_layout import Footprint, Layout, Marking, Occupied, sides_of
-from warpav.scene.town.people import person_mesh
 
 _REACH_M = 40.0  # furniture stands no farther from the ego vehicle
 _CORNER_CLEAR_M = 3.2  # of a pavement's ends, in which nobody stands
@@ -32,7 +32,7 @@ _TRIES = 12
 class RoadUser:
     """Somebody who may move."""
 
-    category: str  # as `warpav.scene.scene.Vehicle` has it
+    category: str  # as `warpav.scene._scene.Vehicle` has it
     footprint: Footprint  # where, in the town frame
     heading_rad: float | None  # direction of the lane, or of somebody on foot; None: parked
     # Lowest and highest speed where nothing is in the way [m/s]; None: that of the category and the street.

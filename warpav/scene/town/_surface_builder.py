@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warpav.scene.scene import yaw_rotation
+from warpav.scene._scene import yaw_rotation
 
 _WELD_GRID_M = 1e-5  # vertices nearer than this are one vertex
 _CREASE_COSINE = float(np.cos(np.radians(42.0)))  # flatter edges are shaded smoothly

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import yaw_rotation
+from warpav.scene._scene import yaw_rotation
 from warpav.scene.town._furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town._houses import (
     HOUSE_DEPTH_M,

@@ -14,9 +14,9 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh
 from warpav.scene.town._paint import drawn_paint
+from warpav.scene.town._people import person_mesh
+from warpav.scene.town._vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh
 from warpav.scene.town._vehicle_specs import CARGO, VEHICLE_SPECS
-from warpav.scene.town.people import person_mesh
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh
 
 _LORRY_FROM_M = 6.3  # a recorded car that is longer is a lorry, as in data sets that know cars alone
 _MOTORCYCLE_TO_M = 1.3  # a recorded car that is narrower is a motorcycle, likewise
@@ -30,7 +30,7 @@ _ARCH_M = 0.07  # of the wheel arches around a tyre
 
 
 def drawn_kind(category: str, size_m: tuple[float, float, float], rng: np.random.Generator) -> str:
-    """What a recorded road user is drawn as: a category of `warpav.scene.scene.Vehicle`."""
+    """What a recorded road user is drawn as: a category of `warpav.scene._scene.Vehicle`."""
     length, width, height = size_m
     if category != "car":
         return {"truck": "lorry", "bicycle": "cyclist"}.get(category, category)

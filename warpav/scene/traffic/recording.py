@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.scene.scene import outline_gap_m
+from warpav.scene._scene import outline_gap_m
 from warpav.scene.town._town_layout import Footprint
 
 CLASSES = ("car", "truck", "bus", "motorcycle", "bicycle", "pedestrian")

@@ -15,14 +15,14 @@ import numpy as np
 
 from warpav.core.cache import fingerprint
 from warpav.raster.mesh import Mesh, merge
-from warpav.scene.scene import Scene, Vehicle, yaw_rotation
+from warpav.scene._scene import Scene, Vehicle, yaw_rotation
 from warpav.scene.town._houses import KERB_HEIGHT_M, MIRRORS_M, SceneryBuilder
+from warpav.scene.town._levels import FLEET_CODE
 from warpav.scene.town._street_life import upright_box
 from warpav.scene.town._streets import FRAMES_WITHIN_M
 from warpav.scene.town._surface_builder import StreetGround
+from warpav.scene.town._town import drawn_sky, ego_vehicle
 from warpav.scene.town._town_layout import Footprint
-from warpav.scene.town.levels import FLEET_CODE
-from warpav.scene.town.town import drawn_sky, ego_vehicle
 from warpav.scene.traffic._road import Body, Road, Roadside, pavement_width_m, road_of, subdivided
 from warpav.scene.traffic._road_users import body_mesh, drawn_kind
 from warpav.scene.traffic.files import content_digest, read_recording
@@ -30,7 +30,7 @@ from warpav.scene.traffic.moments import OVERLAP_MAX_M, REACH_M, Moment
 from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording, without_overlaps
 
 if TYPE_CHECKING:
-    from warpav.scene.fleet import Fleet
+    from warpav.scene._fleet import Fleet
 
 _ROOM_M = 0.45  # of road around whoever stands on it outside the lanes, and free of houses around who walks
 _LANE_STEP_M = 2.0

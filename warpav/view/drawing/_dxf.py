@@ -68,7 +68,11 @@ def _document(ezdxf: Any, drawing: Sheet) -> Any:  # noqa: ANN401 (ezdxf)
     style = document.dimstyles.duplicate_entry("EZDXF", "WARPAV")
     style.dxf.dimtxt, style.dxf.dimgap, style.dxf.dimasz = 2.2 * scale, 0.8 * scale, 2.0 * scale
     style.dxf.dimtad, style.dxf.dimclrd, style.dxf.dimclre, style.dxf.dimclrt = 0, 8, 8, 7
-    _add_block(document, scale)
+    block = document.blocks.new(BLOCK)
+    as_insert = {"layer": "CAMERAS", "color": 0}
+    block.add_circle((0.0, 0.0), radius=scale, dxfattribs=as_insert)
+    for dx, dy in ((1.6 * scale, 0.0), (0.0, 1.6 * scale)):
+        block.add_line((-dx, -dy), (dx, dy), dxfattribs=as_insert)
     space = document.modelspace()
     for stroke in drawing.strokes:
         colour = {} if stroke.camera is None else {"true_color": ezdxf.rgb2int(camera_rgb(stroke.camera))}
@@ -90,14 +94,6 @@ def _document(ezdxf: Any, drawing: Sheet) -> Any:  # noqa: ANN401 (ezdxf)
         place = {"offset": (end - feature).tolist(), "origin": model(ordinate.view.datum_mm), "text": ordinate.text}
         add(feature.tolist(), **place, dimstyle="WARPAV", dxfattribs={"layer": "DIMENSIONS"}).render()
     return document
-
-
-def _add_block(document: Any, scale: float) -> None:  # noqa: ANN401 (ezdxf)
-    block = document.blocks.new(BLOCK)
-    as_insert = {"layer": "CAMERAS", "color": 0}
-    block.add_circle((0.0, 0.0), radius=scale, dxfattribs=as_insert)
-    for dx, dy in ((1.6 * scale, 0.0), (0.0, 1.6 * scale)):
-        block.add_line((-dx, -dy), (dx, dy), dxfattribs=as_insert)
 
 
 def _add_mark(space: Any, drawing: Sheet, mark: Mark, place: list[float], tip: list[float]) -> None:  # noqa: ANN401 (ezdxf)

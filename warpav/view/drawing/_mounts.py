@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.glb import Node, glb_bytes
+from warpav.scene import Node, glb_bytes
 from warpav.view._outlines import frustum_points
 from warpav.view._palette import camera_rgb
 
 if TYPE_CHECKING:
-    from warpav.rig.module import Housing, Module
-    from warpav.rig.rig import Rig, RigCamera
+    from warpav.rig import Housing, Module, Rig, RigCamera
 
 FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""

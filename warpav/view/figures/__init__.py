@@ -2,7 +2,3 @@
 
 Importing a module of this package imports neither matplotlib nor pyvista.
 """
-
-from warpav.core.face import face_of
-
-__all__, __getattr__ = face_of(__name__)  # pyright: ignore[reportUnsupportedDunderAll]

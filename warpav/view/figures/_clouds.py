@@ -14,12 +14,22 @@ from scipy.spatial import KDTree
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture
-from warpav.scene.reconstruction.point_cloud import PointCloud, first_in_cells, fuse, joined, split_at_radius, unproject
-from warpav.scene.reconstruction.reconstruct import reconstruct
-from warpav.scene.reconstruction.settings import CloudSettings, ReconstructionSettings
-from warpav.scene.reconstruction.surface import thin_out
-from warpav.scene.scene import Box
+from warpav.scene import (
+    EGO_INSTANCE,
+    ENVIRONMENT_INSTANCE,
+    Box,
+    Capture,
+    CloudSettings,
+    PointCloud,
+    ReconstructionSettings,
+    first_in_cells,
+    fuse,
+    joined,
+    reconstruct,
+    split_at_radius,
+    thin_out,
+    unproject,
+)
 from warpav.view._layers import mesh_to_pyvista
 from warpav.view._opengl import load_pyvista
 from warpav.view._palette import PAPER_RGB, Rgb, camera_rgb, hex_colour

@@ -29,10 +29,9 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.optimisation import FurtherCameras
     from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
-    from warpav.rig.rig import Rig
+    from warpav.rig import MountSurface, Rig
 
 RINGS = "Rings: distance from the middle of the vehicle."
 RING: Any = {"edgecolor": hex_colour(MUTED_RGB), "linewidth": 0.6, "linestyle": (0, (5, 3)), "fill": False}

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.detection.images import render
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, ViewKind
-from warpav.scene.device_scene import EGO, DeviceScene
-from warpav.sight.around import body_shares
+from warpav.detection import render
+from warpav.scene import EGO, EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, DeviceScene, ViewKind
+from warpav.sight import body_shares
 from warpav.view._palette import (
     FALSE_POSITIVE_RGB,
     INK_RGB,
@@ -37,9 +36,9 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.optimisation.evaluation.metrics import CameraObservation
-    from warpav.rig.rig import Rig
-    from warpav.scene.scene import Scene
+    from warpav.optimisation import CameraObservation
+    from warpav.rig import Rig
+    from warpav.scene import Scene
 
 KIND_RGB: Mapping[ViewKind, Rgb] = {
     ViewKind.EGO_TOP: (240, 126, 22),

@@ -33,7 +33,7 @@ from warpav.view.figures._style import (
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
-    from warpav.rig.rig import Rig, RigCamera
+    from warpav.rig import Rig, RigCamera
 
 _PAGE_MM = (210.0, 297.0)
 """A4; rigs of many cameras make it longer."""

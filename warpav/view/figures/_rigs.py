@@ -13,13 +13,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.rig.mount_surface import MountSurface, measured_surface, mount_surface_from_mesh
-from warpav.rig.rig import Rig
-from warpav.scene.capture.capture import EGO_INSTANCE, Capture
-from warpav.scene.reconstruction.point_cloud import fuse
-from warpav.scene.reconstruction.reconstruct import object_mesh
-from warpav.scene.reconstruction.settings import ReconstructionSettings
-from warpav.scene.scene import Box
+from warpav.rig import MountSurface, Rig, measured_surface, mount_surface_from_mesh
+from warpav.scene import EGO_INSTANCE, Box, Capture, ReconstructionSettings, fuse, object_mesh
 from warpav.view._layers import SQUARE
 from warpav.view._outlines import bearing_sector_rad, sector_polygon_m
 from warpav.view._palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
@@ -51,9 +46,8 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.optimisation.constraints import Constraints
-    from warpav.optimisation.evaluation.metrics import RigObservation
-    from warpav.scene.scene import Scene
+    from warpav.optimisation import Constraints, RigObservation
+    from warpav.scene import Scene
 
 _IMAGES_A_ROW = 4
 _SceneView: TypeAlias = "tuple[Scene, RigObservation]"

@@ -33,10 +33,8 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.detection.probability import DetectionProbability
-    from warpav.detection.probability_fit import CalibrationBin
-    from warpav.optimisation.evaluation.perturbations import CameraOutages, MountTolerance
-    from warpav.optimisation.evaluation.statistics import Difference
+    from warpav.detection import CalibrationBin, DetectionProbability
+    from warpav.optimisation import CameraOutages, Difference, MountTolerance
 
 
 def reliability_diagram(
@@ -68,7 +66,7 @@ def reliability_diagram(
 
 def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Path | str) -> Path:
     """Draw what every feature adds to the logit of detection, over where objects have it, [object, feature]."""
-    from warpav.detection.probability import FEATURES
+    from warpav.detection import FEATURES
 
     with figure_style():
         figure = new_figure(WIDTH_INCH, 0.62 * WIDTH_INCH)

@@ -19,7 +19,7 @@ from warpav.view._output import write_bytes
 from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
-    from warpav.rig.rig import RigCamera
+    from warpav.rig import RigCamera
 
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
@@ -109,13 +109,11 @@ def checked_figure(path: Path | str, suffixes: Sequence[str] = FIGURE_SUFFIXES) 
 
 
 def show_image(axis: Any, rgb: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
-    """Fill a panel with an image."""
     axis.imshow(rgb, interpolation="antialiased", aspect="auto")
     empty_panel(axis)
 
 
 def empty_panel(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-    """A panel without ticks in a thin frame."""
     axis.grid(visible=False)
     axis.set(xticks=[], yticks=[])
     for spine in axis.spines.values():
@@ -199,10 +197,7 @@ SCALES = (10, 20, 25, 50, 75, 100, 125, 150, 200, 250, 400, 500, 1000, 2000)
 
 
 class Page:
-    """A figure in the size of a page."""
-
     def __init__(self, width_mm: float, height_mm: float) -> None:
-        """An empty page."""
         self.width_mm, self.height_mm = width_mm, height_mm
         self.figure = new_figure(width_mm / 25.4, height_mm / 25.4)
         self.figure.set_layout_engine("none")

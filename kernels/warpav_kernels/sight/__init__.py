@@ -1,1 +1,0 @@
-"""Kernels of who sees what."""

@@ -1,0 +1,329 @@
+"""Tidy rows of studies, one a run, and the tables that are computed from them and from nothing else.
+
+Columns that a study has no number for are empty. Rows without a seed are differences from another arm, ``reference``,
+with their 95 % interval: ``more``, ``low`` and ``high`` of the quantity ``of``. They are taken over scenes and runs
+together (BCa), and rows of runs alone cannot give them again.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Any
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.core.files import write_text
+from warpav.core.table import Table
+from warpav.experiments._gradient_magnitude import LOSS_OF
+from warpav.experiments._result_folder import objective_of_tests, objective_on_tests
+from warpav.optimisation import RESAMPLES, paired_difference
+from warpav.thesis import WARNING, thesis_table
+
+_Row = dict[str, str]
+
+ROWS = "rows.csv"
+"""The file of rows in the folder of a study."""
+OWN_JUDGE = "builtin"
+"""The judge of rows that come from the study itself: its own detector, or its objective."""
+MARK = re.compile(r"(<!-- rows: ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+"""What stands between such marks on a page is a table: its kind, and of which study and judge."""
+_COLUMNS = (
+    *("study", "judge", "arm", "seed", "objective", "objective_seen", "gap", "misses_per_100"),
+    *("misses_at_equal_false_alarms", "false_alarms_per_image", "ap50", "attainable_misses_per_100"),
+    *("map50_average", "map50_min_camera", "map50_max_camera", "detection_rate", "in_frame_rate", "confidence"),
+    *("constraint_violation_m", "constraint_loss", "min_camera_distance_m", "camera_renders", "search_seconds"),
+    *("positional", "rotational", "of", "reference", "more", "low", "high"),
+)
+_METRICS = {
+    **{name: name for name in _COLUMNS if name.startswith("map50_")},
+    **{name: name for name in ("misses_per_100", "misses_at_equal_false_alarms", "attainable_misses_per_100")},
+    "false_alarms_per_frame": "false_alarms_per_image",
+    "ap50_pooled": "ap50",
+    "tp_detection_rate": "detection_rate",
+    "tp_in_frame_rate": "in_frame_rate",
+    "detection_confidence": "confidence",
+    "constraint_violation": "constraint_violation_m",
+    "min_camera_distance_m": "min_camera_distance_m",
+}
+"""Metrics of a rig by the column that has them."""
+
+_ARM_COLUMNS = {
+    "missed per 100, equal false alarms": ("misses_at_equal_false_alarms", 1.0, 1),
+    "missed, own threshold": ("misses_per_100", 1.0, 1),
+    "expected misses per 100": ("objective", 100.0, 2),
+    "false alarms there": ("false_alarms_per_image", 1.0, 1),
+    "AP50": ("ap50", 100.0, 1),
+    "attainable missed": ("attainable_misses_per_100", 1.0, 1),
+    "on the scenes of the search": ("objective_seen", 100.0, 2),
+    "above the bound": ("gap", 100.0, 2),
+    "renders": ("camera_renders", 1.0, 0),
+    "search [s]": ("search_seconds", 1.0, 1),
+}
+_COMPARED = {"misses_at_equal_false_alarms": 1.0, "objective": 100.0}
+"""What is compared with the reference, per 100 road users: the detector's misses where there are any."""
+_MISSED = "misses_at_equal_false_alarms"
+_BY_HAND = {"highest", "roof_edge", "nuscenes_as_built"}
+_PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
+_OBJECTIVE_COLUMNS = ("objective", "objective_seen")
+"""Shown only where no detector judged."""
+_THESIS_COLUMNS = {
+    "avg_map50": ("average mAP@50", "map50_average"),
+    "min_camera_map50": ("min camera mAP@50", "map50_min_camera"),
+    "max_camera_map50": ("max camera mAP@50", "map50_max_camera"),
+    "tp_detection_rate": ("TP detection rate", "detection_rate"),
+    "tp_in_frame_rate": ("TP in-frame rate", "in_frame_rate"),
+    "detection_confidence": ("detection confidence", "confidence"),
+    "optimisable_loss": ("optimisable loss", "objective"),
+    "constraint_loss": ("constraint loss", "constraint_loss"),
+    "min_pair_distance_m": ("min camera pair distance (m)", "min_camera_distance_m"),
+}
+"""Columns of tables II to IV of the thesis by its names: the heading, and our column."""
+
+
+def rows_of(
+    results: Mapping[str, Sequence[Mapping[str, Any]]],
+    study: str,
+    judge: str,
+    references: Mapping[str, str],
+    *,
+    resamples: int = RESAMPLES,
+) -> list[_Row]:
+    """The rows of a study's results, by arm: every run, and differences from the arms of reference."""
+    rows = [row for runs in results.values() for run in runs for row in _run_rows(run, study, judge)]
+    for arm, reference in references.items():
+        ours, theirs = results.get(arm), results.get(reference)
+        if not ours or not theirs:
+            continue
+        for of, scale in _COMPARED.items():
+            one, other = _of_scenes(ours, of), _of_scenes(theirs, of)
+            if one is None or other is None:
+                continue
+            found = paired_difference(one, other, weight=ours[0]["objects_of_scene"], resamples=resamples)
+            ends = {"more": found.mean, "low": found.low, "high": found.high}
+            which = {"study": study, "judge": judge, "arm": arm, "of": of, "reference": reference}
+            rows.append({**which, **{name: _text(end, scale) for name, end in ends.items()}})
+            break
+    return rows
+
+
+def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[_Row]:
+    which = {"study": study, "judge": judge, "arm": run["arm"], "seed": str(run["seed"])}
+    renders = {"camera_renders": _text(run["camera_renders"])}
+    if "gradients" in run:
+        kinds = ("positional", "rotational")
+        found = run["gradients"].items()
+        return [{**which, "arm": loss, **renders, **{each: _text(of[each]) for each in kinds}} for loss, of in found]
+    metrics = run.get("metrics", {"constraint_violation": run.get("constraint_violation_m")})
+    return [
+        {
+            **which,
+            "objective": _text(metrics["objective"] if "metrics" in run else objective_on_tests(run)),
+            **{name: _text(run.get(name)) for name in ("objective_seen", "gap", "constraint_loss")},
+            **{column: _text(metrics.get(name)) for name, column in _METRICS.items()},
+            **renders,
+            "search_seconds": _text(run["seconds"]["search"]),
+        }
+    ]
+
+
+def _of_scenes(runs: Sequence[Mapping[str, Any]], of: str) -> np.ndarray | None:
+    """What `paired_difference` takes, [run, scene]; None where it is not known."""
+    if of == "objective":
+        found = np.array([objective_of_tests(run) for run in runs], np.float64)
+    elif all("metrics" in run and of in run["metrics"]["per_scene"] for run in runs):
+        found = np.array([run["metrics"]["per_scene"][of] for run in runs], np.float64)
+    else:
+        return None
+    return found if np.isfinite(found).any(axis=1).all() else None
+
+
+def _text(value: float | None, scale: float = 1.0) -> str:
+    return "" if value is None else f"{scale * value:.6g}"
+
+
+def write_rows(rows: Sequence[_Row], path: Path) -> None:
+    lines = [",".join(_COLUMNS), *(",".join(row.get(column, "") for column in _COLUMNS) for row in rows)]
+    write_text(path, "\n".join([*lines, ""]))
+
+
+def read_rows(path: Path) -> list[_Row]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: expected rows of studies as CSV, got: {error}") from None
+    lacking = [column for column in _COLUMNS if not rows or column not in rows[0]]
+    if lacking:
+        raise InputError(f"{path}: expected rows of studies with the column {lacking[0]}, got none")
+    return rows
+
+
+def filled_page(text: str, rows: Sequence[_Row]) -> str:
+    """A page whose marked tables are computed from the rows."""
+    return MARK.sub(lambda found: f"{found[1]}\n{table_of(found[2], rows).markdown()}\n{found[3]}", text)
+
+
+def table_of(marked: str, rows: Sequence[_Row]) -> Table:
+    """A table by its kind, the study and the judge, such as ``arms open builtin``, ``thesis II table2 builtin``."""
+    kind, *words = marked.split()
+    return _KINDS[kind](rows, *words)
+
+
+def _values(rows: Sequence[_Row], column: str, scale: float = 1.0) -> list[float]:
+    return [scale * float(row[column]) for row in rows if row.get(column)]
+
+
+def _mean(rows: Sequence[_Row], column: str, scale: float, digits: int) -> str:
+    values = _values(rows, column, scale)
+    return f"{fmean(values):.{digits}f}" if values else ""
+
+
+def _spread(rows: Sequence[_Row], column: str, digits: int = 3) -> str:
+    values = _values(rows, column)
+    if not values:
+        return ""
+    return f"{fmean(values):.{digits}f}" + (f" ±{stdev(values):.{digits}f}" if len(values) > 1 else "")
+
+
+def _runs(rows: Sequence[_Row], study: str, judge: str) -> dict[str, list[_Row]]:
+    """The rows of runs by arm, in the order of the file."""
+    arms: dict[str, list[_Row]] = {}
+    for row in rows:
+        if (row["study"], row["judge"]) == (study, judge) and row.get("seed"):
+            arms.setdefault(row["arm"], []).append(row)
+    return arms
+
+
+def _difference(rows: Sequence[_Row], study: str, judge: str, arm: str) -> str:
+    for row in rows:
+        if (row["study"], row["judge"], row["arm"]) == (study, judge, arm) and row.get("of"):
+            ends = f" [{float(row['low']):+.1f}, {float(row['high']):+.1f}]" if row["low"] else ""
+            return f"{float(row['more']):+.1f}{ends}"
+    return ""
+
+
+def _arms(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Table:
+    """Every arm of a study: means over runs, and how many more it misses than its reference."""
+    arms = _runs(rows, study, judge)
+    has = {row[0]: any(_values(runs, row[0]) for runs in arms.values()) for row in _ARM_COLUMNS.values()}
+    if has["misses_per_100"]:
+        has |= dict.fromkeys(_OBJECTIVE_COLUMNS, False)
+    first, *others = (title for title, column in _ARM_COLUMNS.items() if has[column[0]])
+    differences = {arm: _difference(rows, study, judge, arm) for arm in arms}
+    more = "more than the reference [95 %]"
+    lines = [
+        [
+            *(arm, str(len(runs)), _mean(runs, *_ARM_COLUMNS[first])),
+            *([differences[arm]] if any(differences.values()) else []),
+            *(_mean(runs, *_ARM_COLUMNS[title]) for title in others),
+        ]
+        for arm, runs in arms.items()
+    ]
+    return Table.of(["arm", "runs", first, *([more] if any(differences.values()) else []), *others], lines)
+
+
+def _best_by_hand(arms: Mapping[str, list[_Row]]) -> str:
+    return min(arms.keys() & _BY_HAND, key=lambda arm: fmean(_values(arms[arm], _MISSED)))
+
+
+def _settings(rows: Sequence[_Row], *shown: str) -> Table:
+    """The search beside the best rig by hand, in some settings of hard and recorded traffic or in all."""
+    lines = []
+    for study in shown or dict.fromkeys(row["study"] for row in rows if row["arm"] == "roof_edge"):
+        arms = _runs(rows, study, OWN_JUDGE)
+        missed = {arm: _mean(runs, _MISSED, 1.0, 1) for arm, runs in arms.items()}
+        cells = [missed[arm] for arm in (_best_by_hand(arms), "random_selected", "default")]
+        name = ", ".join(_PARTS.get(part, part) for part in study.split("_"))
+        fewer = _difference(rows, study, OWN_JUDGE, _best_by_hand(arms))
+        lines.append([name, *cells, fewer, missed.get("highest_raised", "")])
+    heads = ["best by hand", "random, our selection", "warpav", "fewer by warpav [95 %]", "by hand +25 cm"]
+    return Table.of(["traffic, cameras, mount", *heads], lines)
+
+
+def _rivals(rows: Sequence[_Row], *studies: str) -> Table:
+    """How many more every arm misses than the search, by study."""
+    arms = dict.fromkeys(row["arm"] for row in rows if row["study"] in studies and row.get("of"))
+    lines = [[study, *(_difference(rows, study, OWN_JUDGE, arm) for arm in arms)] for study in studies]
+    return Table.of(["setting", *arms], lines)
+
+
+def _networks(rows: Sequence[_Row]) -> Table:
+    """What other networks miss at equal false alarms: of the search, and of the best rig by hand."""
+    pairs = [(row["study"], row["judge"]) for row in rows if row["arm"] == "roof_edge" and row["judge"] != OWN_JUDGE]
+    studies, judges = (dict.fromkeys(each) for each in zip(*pairs, strict=True))
+    found = {pair: _runs(rows, *pair) for pair in pairs}
+    arms = {pair: ("default", _best_by_hand(runs)) for pair, runs in found.items()}
+    cells = {pair: " / ".join(_mean(runs[arm], _MISSED, 1.0, 1) for arm in arms[pair]) for pair, runs in found.items()}
+    lines = [[study, *(cells.get((study, judge), "") for judge in judges)] for study in studies]
+    return Table.of(["setting", *judges], lines)
+
+
+def _thesis(rows: Sequence[_Row], number: str, study: str, judge: str = OWN_JUDGE) -> Table:
+    """A table of the thesis: ours above what it prints."""
+    printed = thesis_table(number)["rows"]
+    columns = [key for key in _THESIS_COLUMNS if any(key in row for row in printed)]
+    arms = list(_runs(rows, study, judge).items())
+    columns = [key for key in columns if any(_values(runs, _THESIS_COLUMNS[key][1]) for _, runs in arms)]
+    rows_of_thesis = {arm_name(row["method"], row["loss"]): row for row in printed}
+    lines = []
+    for arm, runs in arms:
+        row = rows_of_thesis.get(arm, {})
+        lines.append([f"`{arm}`", str(len(runs)), *(_spread(runs, _THESIS_COLUMNS[key][1]) for key in columns)])
+        if row:
+            lines.append(["thesis", "", *(_printed(row.get(key)) for key in columns)])
+    return Table.of(["arm", "runs", *(_THESIS_COLUMNS[key][0] for key in columns)], lines, WARNING)
+
+
+def arm_name(method: str, loss: str) -> str:
+    """The name of the arm that is a row of a table of the thesis."""
+    return re.sub(r"[^a-z0-9]+", "_", f"{method} {loss}".lower().replace("*", ""))
+
+
+def _printed(cell: Mapping[str, float] | None) -> str:
+    if cell is None:
+        return ""
+    return f"{cell['mean']:.3f}" + (f" ±{cell['std']:.3f}" if cell["std"] is not None else "")
+
+
+def _gradients(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Table:
+    """Mean magnitudes of the gradients of every loss, and those that the thesis prints in tables I and V."""
+    printed = {row["loss"]: row for number in ("I", "V") for row in thesis_table(number)["rows"]}
+    of_loss = {loss: printed[name] for name, loss in LOSS_OF.items() if name in printed}
+    lines = []
+    for loss, runs in _runs(rows, study, judge).items():
+        cells = [_spread(runs, kind, 4) for kind in ("positional", "rotational")]
+        theirs = [f"{of_loss[loss][kind]:.3f}" if loss in of_loss else "" for kind in ("positional", "rotational")]
+        lines.append([loss, *cells, *theirs])
+    heads = ["loss", "positional [1/m]", "rotational [1/rad]", "thesis, positional", "thesis, rotational"]
+    return Table.of(heads, lines)
+
+
+def _correlation(rows: Sequence[_Row], study: str = "correlation", judge: str = OWN_JUDGE) -> Table:
+    """Spearman's rank correlation of the objective with what the detector finds on unseen scenes, over random rigs."""
+    from warpav.optimisation import rank_correlation
+
+    drawn = {arm: runs for arm, runs in _runs(rows, study, judge).items() if arm.startswith("random")}
+    drawn["all of these"] = [run for runs in drawn.values() for run in runs]
+    lines = []
+    for arm, runs in drawn.items():
+        expected, found = _values(runs, "objective_seen", -1.0), _values(runs, "detection_rate")
+        estimate = rank_correlation(expected, found)
+        ends = "" if estimate.low is None else f" [{estimate.low:.3f}, {estimate.high:.3f}]"
+        lines.append([arm, str(len(runs)), "-" if estimate.value is None else f"{estimate.value:.3f}{ends}"])
+    return Table.of(["rigs", "number", "rank correlation [95 %]"], lines)
+
+
+_KINDS: dict[str, Callable[..., Table]] = {
+    "arms": _arms,
+    "settings": _settings,
+    "rivals": _rivals,
+    "networks": _networks,
+    "thesis": _thesis,
+    "gradients": _gradients,
+    "correlation": _correlation,
+}

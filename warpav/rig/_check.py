@@ -1,0 +1,119 @@
+"""Plausibility checks of a rig: sides that contradict names, cameras below ground, far away, or off the vehicle."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from warpav.raster.mesh import Mesh
+from warpav.rig._rig import Rig, RigCamera
+
+FAR_M = 100.0
+"""No camera of a vehicle is farther from its rear axle; such a file holds another unit, or a camera beside the road."""
+
+_VEHICLE_M = 20.0  # no camera of a bus is farther from its rear axle
+_HEIGHT_M = (0.2, 5.0)
+
+_OFF_VEHICLE_M = 1.0
+"""A camera farther from the surface of its vehicle stands on a mast, or belongs to another vehicle."""
+
+_SIDES = {"left": 1.0, "right": -1.0}
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+_LIES_M = 0.05
+_LOOKS = math.sin(math.radians(10.0))
+_SAME_PLACE_M = 1e-3
+
+
+def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
+    """One message per camera whose name contradicts its side, as of a left-handed file read as right-handed."""
+    for camera in cameras:
+        sides = {word.lower() for word in _WORD.findall(camera.name)} & set(_SIDES)  # CAM_FRONT_LEFT, rearRight
+        if len(sides) != 1:
+            continue
+        side = sides.pop()
+        forward_y = camera.ego_from_camera[1, 2]
+        is_wrong = _SIDES[side] * camera.position_m[1] < -_LIES_M or _SIDES[side] * forward_y < -_LOOKS
+        if is_wrong:
+            yaw_deg = math.degrees(math.atan2(forward_y, camera.ego_from_camera[0, 2]))
+            yield (
+                f"camera {camera.name!r}: expected it on the {side} (y {'>' if side == 'left' else '<'} 0) and "
+                f"pointing there, got y = {camera.position_m[1]:.3f} m and yaw {yaw_deg:.1f} deg (left is positive)"
+            )
+
+
+def description(camera: RigCamera) -> str:
+    """A camera in one line: position, angles, lens, image size."""
+    x, y, z = camera.position_m
+    yaw, pitch, roll = (
+        math.degrees(math.remainder(angle, 2.0 * math.pi))
+        for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)
+    )
+    model = camera.model
+    return (
+        f"{camera.name}: at {x:.3f} {y:.3f} {z:.3f} m, yaw {yaw:.1f} pitch {pitch:.1f} roll {roll:.1f} deg, "
+        f"{model.lens} {math.degrees(model.fov_rad):.1f} deg, {model.width_px} x {model.height_px} px"
+    )
+
+
+def _in_millimetres(rig: Rig) -> str:
+    """One line where all positions are far away, but as millimetres those of a vehicle's cameras; else empty."""
+    position = np.array([camera.position_m for camera in rig.cameras])
+    position_m = 1e-3 * position
+    is_far = np.linalg.norm(position, axis=1) > FAR_M
+    is_near = np.linalg.norm(position_m, axis=1) < _VEHICLE_M
+    is_above = (_HEIGHT_M[0] <= position_m[:, 2]) & (position_m[:, 2] <= _HEIGHT_M[1])
+    if not (is_far & is_near & is_above).all():
+        return ""
+    given, metres = (", ".join(f"{value:g}" for value in of[0]) for of in (position, position_m))
+    return (
+        f"camera {rig.cameras[0].name!r}: expected position_m in metres, got [{given}]; all positions look like "
+        f"millimetres: divide them by 1000, [{metres}]"
+    )
+
+
+def oddities(rig: Rig) -> Iterator[str]:
+    """Other implausible properties that may be intended, one message each."""
+    unit = _in_millimetres(rig)
+    if unit:
+        yield unit
+    for camera in rig.cameras:
+        if camera.position_m[2] < 0.0:
+            yield f"camera {camera.name!r} lies {-camera.position_m[2]:.3f} m below the ground"
+        if not unit and np.linalg.norm(camera.position_m) > FAR_M:
+            yield f"camera {camera.name!r} lies more than {FAR_M:g} m from the rear axle"
+        if abs(camera.roll_rad) > 0.5 * math.pi:
+            yield f"camera {camera.name!r} is mounted upside down (roll {math.degrees(camera.roll_rad):.1f} deg)"
+    for one, other in itertools.combinations(rig.cameras, 2):
+        if np.linalg.norm(one.position_m - other.position_m) < _SAME_PLACE_M:
+            yield f"cameras {one.name!r} and {other.name!r} share one position"
+
+
+def off_vehicle(rig: Rig, body: Mesh) -> str:
+    """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is."""
+    if unit := _in_millimetres(rig):
+        return unit
+    away_m = {camera.name: _distance_m(camera.position_m, body) for camera in rig.cameras}
+    far = {name: distance_m for name, distance_m in away_m.items() if distance_m > _OFF_VEHICLE_M}
+    if not far:
+        return ""
+    farthest = max(far, key=far.__getitem__)
+    return (
+        f"{len(far)} of {len(away_m)} cameras are more than {_OFF_VEHICLE_M:g} m from the surface of the vehicle, "
+        f"{farthest} {far[farthest]:.1f} m; is the rig of another vehicle? scenes.ego says which carries it"
+    )
+
+
+def _distance_m(position_m: np.ndarray, body: Mesh) -> float:
+    """Distance of a point to a surface [m]; from a vertex alone where one is near enough not to be told."""
+    from trimesh.triangles import closest_point
+
+    to_vertex_m = float(np.linalg.norm(body.vertex_m - position_m, axis=1).min())
+    if to_vertex_m <= _OFF_VEHICLE_M:
+        return to_vertex_m
+    corner_m = body.vertex_m[body.triangle].astype(np.float64)
+    closest_m = closest_point(corner_m, np.broadcast_to(position_m, (len(corner_m), 3)))
+    return float(np.linalg.norm(closest_m - position_m, axis=1).min())

@@ -1,0 +1,171 @@
+"""What cameras see, written to disk: rendered images of a rig, and the figures of a run."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.progress import Progress
+from warpav.optimisation import ObjectOutcome
+from warpav.rig import Rig
+from warpav.runs._drawn_run import DrawnRun
+from warpav.runs._evaluate import requirements_of
+from warpav.runs._events import trajectory
+from warpav.runs._placement import Placement
+from warpav.runs._rig_evaluation import RigEvaluation
+from warpav.runs._run_folder import RunFolder
+from warpav.runs.report._content import read_evaluation
+from warpav.runs.report.report import SHOWN_SCENES
+from warpav.view import Canvas, drawing_of, opengl_problem, plot
+
+if TYPE_CHECKING:
+    from warpav.detection import DetectionProbability
+    from warpav.optimisation import AssignedScene, CameraObservation
+    from warpav.raster.camera import CameraModel
+    from warpav.scene import Scene
+
+GROUND_SCENES = 10
+"""Test scenes at most on which the ground that no camera sees is measured."""
+
+_RIG_PX = (900, 750)
+
+
+@dataclass(frozen=True, eq=False)
+class RunPictures:
+    """What the pictures of a run are drawn from."""
+
+    folder: RunFolder
+    placement: Placement
+    start: Rig
+    found: Rig
+    test: Sequence[AssignedScene]
+    scene: Scene
+    evaluation: RigEvaluation
+
+    @classmethod
+    def of_folder(cls, folder: RunFolder, progress: Progress) -> RunPictures:
+        """Those of a run that has ended: its scenes and its detector are loaded again."""
+        evaluation = read_evaluation(folder)
+        if evaluation is None:
+            raise InputError(
+                f"{folder.path}: run folder: expected an evaluation, got none; warpav optimise --resume {folder.path} "
+                "goes on"
+            )
+        placement = Placement.from_config(folder.config()).prepare(progress)
+        found = folder.found_rig()
+        return cls(folder, placement, folder.rig("initial"), found, placement.test, placement.shown, evaluation)
+
+    def draw(self, progress: Progress, *, full: bool) -> None:
+        """Draw the pictures of the first page, or all; what this machine cannot draw is said."""
+        self._draw_few()
+        if full:
+            self._draw_further()
+        problem = opengl_problem()
+        if problem is None:
+            self._draw_rig()
+        else:
+            progress.say(f"no picture of the rig in three dimensions: {problem}")
+
+    def _draw_few(self) -> None:
+        """The pictures of the first page, but for the rig."""
+        from warpav.view import detections_sheet
+
+        drawn = self._drawn
+        has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
+        self._plot(drawn, "search", "search" if has_search else "loss_curves")
+        self._plot(drawn, "ground", misses_per_100=self.evaluation.misses)
+        seen = {name: self._seen(rig, self.test[0]) for name, rig in drawn.rigs.items()}
+        detections_sheet(seen, self.folder.figure_path("detections"))
+
+    def _draw_further(self) -> None:
+        """All other pictures."""
+        from warpav.view import detections_sheet, requirement_map
+
+        placement, drawn = self.placement, self._drawn
+        if self.evaluation.mount_tolerance is not None:
+            outages = self.evaluation.camera_outage.get("optimised")
+            self._plot(self.evaluation.mount_tolerance.tolerance(), "tolerance", "sensitivity", outages=outages)
+        self._plot(drawn, "top_view", "rig_top_view")
+        if drawn.further is not None and len(drawn.further):
+            self._plot(drawn, "further", "further_cameras")
+        for kind in ("plan", "near_field", "redundancy"):
+            self._plot(drawn, kind)
+        if placement.fitted_probabilities:
+            self._plot(drawn.rigs, "range", ego=self.scene.ego, probability=self._probability)
+        for name, met in requirements_of(drawn.rigs, placement).items():
+            file = self.folder.figure_path(f"requirements_{name.replace(' ', '_')}")
+            requirement_map(file, result=met, rig=drawn.rigs[name], ego=placement.ego)
+        for kind in ("recall", "differences"):
+            with contextlib.suppress(ArgumentError):  # too few objects or scenes
+                self._plot(self.evaluation, kind)
+        objects = self.evaluation.objects
+        left = Counter(each.scene for each in objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
+        first, *others = self.test
+        hardest = sorted((each for each in others if left[each.scene.name]), key=lambda each: -left[each.scene.name])
+        for which, shown in zip(SHOWN_SCENES, (first, *hardest), strict=False):
+            seen = {name: self._seen(rig, shown) for name, rig in drawn.rigs.items()}
+            for camera in dict.fromkeys(camera for of_rig in seen.values() for camera in of_rig):
+                row = {name: of_rig[camera] for name, of_rig in seen.items() if camera in of_rig}
+                detections_sheet({shown.scene.name: row}, self.folder.figure_path(f"{which}_{camera}"))
+
+    @cached_property
+    def _drawn(self) -> DrawnRun:
+        return DrawnRun(
+            str(self.folder.path),
+            self.placement.config,
+            self.evaluation.start,
+            self.start,
+            self.found,
+            self.folder.events(),
+            lambda: self.scene,
+            lambda _: self.placement.mount.surface,
+            self.folder.further_cameras,
+        )
+
+    def _plot(self, shown: object, kind: str, name: str | None = None, **options: Any) -> None:  # noqa: ANN401
+        plot(shown, kind=kind, out=self.folder.figure_path(name or kind), **options)
+
+    def _draw_rig(self) -> None:
+        """Start and result on the vehicle in the first test scene, side by side."""
+        from warpav.view import render_rgb, save_rgb
+
+        images = []
+        for name, rig in self._drawn.rigs.items():
+            canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
+            path_m = trajectory(self._drawn.events) if rig is self.found else None
+            plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m)
+            try:
+                images.append(render_rgb(plotter))
+            finally:
+                plotter.close()
+        save_rgb(np.hstack(images), self.folder.figure_path("rig"))
+
+    def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
+        """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
+        from warpav.detection import render_images
+        from warpav.optimisation import observe_scenes
+        from warpav.view import own_body_tinted
+
+        objective = self.placement.objective
+        [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
+        images = render_images(assigned.scene, rig.cameras, device=objective.device)
+        return {
+            camera.name: dataclasses.replace(each, image_rgb=own_body_tinted(each.image_rgb, image.object_index))
+            for camera, each, image in zip(rig.cameras, seen.cameras, images, strict=True)
+        }
+
+    def _probability(self, model: CameraModel) -> DetectionProbability:
+        """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
+        known = self.placement.fitted_probabilities
+        same = [each for camera, each in known if camera == model]
+        size = model.width_px, model.height_px
+        alike = [each for camera, each in known if (camera.width_px, camera.height_px) == size]
+        return [*same, *alike][0]

@@ -1,0 +1,262 @@
+"""Scenes as GLB files that Blender, trimesh and every glTF viewer open.
+
+Below one root node, whose matrix turns the ego frame (z up) into glTF's axes (y up), stand the nodes ``environment``,
+``ego``, one ``vehicle_<instance id>`` per vehicle, and one ``other_<instance id>`` per road user that is no vehicle.
+Their vertices are in the ego frame, their colours are exact 8-bit vertex colours, and the extras of vehicles and other
+road users hold instance id, class and 3D box, and where it is known their velocity relative to the ego vehicle
+(``velocity_ego_m_s``: forward and left).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from warpav.core.bounded_files import (
+    ARRAY_BYTES_MAX,
+    BYTES_MAX,
+    DATA_SET_BYTES_MAX,
+    DATA_SET_NODES_MAX,
+    parse_json,
+    parse_xml,
+    read_bytes,
+)
+from warpav.core.errors import InputError
+from warpav.core.files import atomic_write
+from warpav.core.records import Point2, Point3, Record, Word, read_record
+from warpav.raster.mesh import Mesh
+from warpav.scene._scene import BLACK_SKY, Box, Scene, Sky, Vehicle
+
+if TYPE_CHECKING:
+    import trimesh
+
+_SCHEMA = "warpav-scene/1"
+_ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
+_VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
+_EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
+GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
+"""(x, y, z) in the ego frame is (x, z, -y) in glTF."""
+
+
+def write_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene; the same scene gives the same bytes, and the file appears only once it is complete."""
+    about = {
+        "name": scene.name,
+        "source": scene.source,
+        "sky_horizon_rgb": [int(value) for value in scene.sky.horizon_rgb],
+        "sky_zenith_rgb": [int(value) for value in scene.sky.zenith_rgb],
+    }
+    nodes: list[Node] = [
+        (ENVIRONMENT_NODE, scene.environment, {"role": "environment"}),
+        (EGO_NODE, scene.ego, {"role": "ego"}),
+    ]
+    scene = scene.targeting(("vehicle",))
+    for user in (*scene.vehicles, *scene.others):
+        role, prefix = ("vehicle", _VEHICLE_PREFIX) if user.road_user == "vehicle" else ("other", _OTHER_PREFIX)
+        extras = {
+            "role": role,
+            "instance_id": int(user.instance_id),
+            "class": user.category,
+            "box_center_m": [float(value) for value in user.box.center_m],
+            "box_size_m": [float(value) for value in user.box.size_m],
+            "box_yaw_deg": float(np.degrees(user.box.yaw_rad)),
+        }
+        if user.velocity_ego_m_s is not None:
+            extras["velocity_ego_m_s"] = [float(value) for value in user.velocity_ego_m_s]
+        nodes.append((f"{prefix}{user.instance_id}", user.mesh, extras))
+    write_nodes(Path(path), _SCHEMA, about, nodes)
+
+
+Node = tuple[str, Mesh, dict[str, Any]]
+"""Name, mesh in the ego frame, and extras of a node."""
+
+
+def glb_bytes(about: dict[str, Any], nodes: Sequence[Node]) -> bytes:
+    """Nodes below one that turns the ego frame into glTF's axes, with their exact vertices and colours, as GLB."""
+    import trimesh
+
+    file = trimesh.Scene(base_frame="world")
+    file.metadata = about
+    file.graph.update(frame_from="world", frame_to=_ROOT_NODE, matrix=GLTF_FROM_EGO)
+    for name, mesh, extras in nodes:
+        opaque = np.full((len(mesh.vertex_rgb), 1), 255, np.uint8)
+        geometry = trimesh.Trimesh(
+            vertices=mesh.vertex_m,
+            faces=mesh.triangle,
+            vertex_colors=np.concatenate([mesh.vertex_rgb, opaque], axis=1),
+            process=False,
+            validate=False,
+        )
+        file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=_ROOT_NODE, metadata=extras)
+    data = file.export(file_type="glb")
+    assert isinstance(data, bytes)
+    return data
+
+
+def write_nodes(path: Path, schema: str, about: dict[str, Any], nodes: Sequence[Node]) -> None:
+    """Write a file of a schema that is either complete or absent."""
+    data = glb_bytes({"schema": schema, "frame": _EGO_FRAME, "units": "m", **about}, nodes)
+    try:
+        with atomic_write(path) as draft:
+            draft.write_bytes(data)
+    except OSError as error:
+        what = schema.removeprefix("warpav-").partition("/")[0]
+        raise InputError(f"{path}: cannot write the {what}: {error.strerror}; choose a folder that exists") from error
+
+
+def read_scene(path: str | Path) -> Scene:
+    """Read a scene that `write_scene` or another program wrote."""
+    import trimesh
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such scene file; write one with `warpav scenes make`")
+    data = bounded_mesh(path, "glb", str(path))
+    if data[:4] != b"glTF":
+        raise InputError(f"{path}: expected a GLB file (it starts with 'glTF'), got {data[:4]!r}; export binary glTF")
+    try:
+        file = trimesh.load_scene(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: the GLB file is damaged: {reason}; write it again") from error
+
+    nodes = _mesh_nodes(file, path)
+    for name in (ENVIRONMENT_NODE, EGO_NODE):
+        if name not in nodes:
+            known = ", ".join(sorted(nodes)) or "none"
+            raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
+    count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in nodes)
+    if count > TRIANGLES_MAX:
+        raise InputError(f"{path}: expected at most {TRIANGLES_MAX:,} triangles in all nodes, got {count:,}")
+    users = []
+    for name, extras in nodes.items():
+        if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX)):
+            where = f"{path}: node '{name}'"
+            one = read_record(_Extras, extras, f"{where}: extras")
+            box = Box(np.array(one.box_center_m), np.array(one.box_size_m), float(np.radians(one.box_yaw_deg)))
+            velocity = None if one.velocity_ego_m_s is None else np.array(one.velocity_ego_m_s)
+            users.append(Vehicle(one.instance_id, one.category, _read_mesh(file, name, where), box, velocity))
+    ids = [user.instance_id for user in users]
+    instance_id, count = max(Counter(ids).items(), key=lambda each: each[1], default=(0, 0))
+    if count > 1:
+        raise InputError(f"{path}: instance_id must be unique, got {instance_id} {count} times")
+    about = read_record(_SceneExtras, file.metadata or {}, f"{path}: scene extras")
+    scene = Scene(
+        path.stem if about.name is None else about.name,
+        _read_mesh(file, ENVIRONMENT_NODE, f"{path}: node '{ENVIRONMENT_NODE}'"),
+        _read_mesh(file, EGO_NODE, f"{path}: node '{EGO_NODE}'"),
+        tuple(users),
+        Sky(np.array(about.sky_horizon_rgb).astype(np.uint8), np.array(about.sky_zenith_rgb).astype(np.uint8)),
+        about.source,
+    )
+    return scene.targeting(("vehicle",))
+
+
+def _mesh_nodes(file: trimesh.Scene, path: Path) -> dict[str, dict[str, Any]]:
+    """Extras by name of every node that carries a mesh, in file order."""
+    extras: dict[str, dict[str, Any]] = {}
+    edges = file.graph.transforms.edge_data
+    for (_, name), data in edges.items():
+        if "geometry" in data:
+            extras[str(name)] = data.get("metadata") or {}
+    if not extras:
+        raise InputError(
+            f"{path}: expected mesh nodes '{ENVIRONMENT_NODE}', '{EGO_NODE}' and '{_VEHICLE_PREFIX}1', got none"
+        )
+    return extras
+
+
+def _read_mesh(file: trimesh.Scene, name: str, where: str) -> Mesh:
+    matrix, geometry_name = file.graph.get(name)
+    geometry: Any = file.geometry[geometry_name]
+    if not hasattr(geometry, "faces") or len(geometry.faces) == 0:
+        raise InputError(f"{where}: expected a mesh with triangles, got none; export its faces")
+    vertex = np.asarray(geometry.vertices, np.float64)
+    ego_from_node = np.linalg.inv(GLTF_FROM_EGO) @ np.asarray(matrix, np.float64)
+    if not np.allclose(ego_from_node, np.eye(4), atol=1e-9):
+        vertex = vertex @ ego_from_node[:3, :3].T + ego_from_node[:3, 3]
+    colour = np.asarray(geometry.visual.vertex_colors, np.uint8)[:, :3]
+    return Mesh.create(vertex, geometry.faces, colour, name=where)
+
+
+class _Extras(Record):
+    """Extras of a node of a road user."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    instance_id: int = Field(ge=1)
+    category: Word = Field(alias="class")
+    box_center_m: Point3
+    box_size_m: Point3
+    box_yaw_deg: float
+    velocity_ego_m_s: Point2 | None = None
+
+
+_Colour = Annotated[list[Annotated[float, Field(ge=0.0, le=255.0)]], Field(min_length=3, max_length=3)]
+
+
+class _SceneExtras(Record):
+    """Extras of the whole scene."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    name: Word | None = None
+    source: Word = ""
+    sky_horizon_rgb: _Colour = BLACK_SKY.horizon_rgb.tolist()
+    sky_zenith_rgb: _Colour = BLACK_SKY.zenith_rgb.tolist()
+
+
+TRIANGLES_MAX = 5_000_000  # triangles of a file, counted at every node that shows them
+_LINES_MAX, _LINE_BYTES_MAX = 2_000_000, 1_000_000
+_TEXT_FORMATS = ("obj", "off", "dae", "gltf")
+_COMPONENT_COUNT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_GLB_HEAD = 20  # bytes before the JSON
+
+
+def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
+    """The content of a mesh file, once it is known to be within bounds."""
+    kind = f"a readable {suffix} file"
+    content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
+    try:
+        if suffix in _TEXT_FORMATS or content.startswith(b"solid") or b"format ascii" in content[:1000]:
+            if len(content) > BYTES_MAX:
+                raise InputError(f"more than {BYTES_MAX // 1_000_000} MB of text")
+            lines = content.split(b"\n")
+            if len(lines) > _LINES_MAX:
+                raise InputError(f"more than {_LINES_MAX:,} lines")
+            if (suffix in ("obj", "off", "ply")) and max(map(len, lines)) > _LINE_BYTES_MAX:
+                raise InputError(f"a line of more than {_LINE_BYTES_MAX:,} characters")
+        if suffix == "dae":
+            parse_xml(content, "", "COLLADA", nodes_max=DATA_SET_NODES_MAX)
+        elif suffix == "gltf":
+            _check_document(content)
+        elif suffix == "glb" and content.startswith(b"glTF"):
+            _check_document(content[_GLB_HEAD : _GLB_HEAD + int.from_bytes(content[12:16], "little")])
+    except InputError as error:
+        raise InputError(f"{place}: expected {kind}, got: {error}; export it again") from None
+    return content
+
+
+def _check_document(content: bytes) -> None:
+    """Check the JSON of a glTF file: trimesh takes memory for what its arrays state, each counted where it is named."""
+    document = parse_json(content.rstrip(b"\0"), "", "a glTF document", nodes_max=DATA_SET_NODES_MAX)
+    total = 0.0
+    try:
+        for view in document.get("bufferViews", ()):
+            total += _size(view["byteLength"])
+        for accessor in document.get("accessors", ()):
+            total += 8.0 * _COMPONENT_COUNT[accessor["type"]] * _size(accessor["count"])
+    except (AttributeError, KeyError, TypeError):
+        return  # it is no glTF, which trimesh says better
+    if total > ARRAY_BYTES_MAX:
+        raise InputError(f"arrays of more than {ARRAY_BYTES_MAX // 1_000_000} MB")
+
+
+def _size(count: object) -> float:
+    return float(count) if isinstance(count, int) and count >= 0 else math.inf
