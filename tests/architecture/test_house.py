@@ -90,7 +90,7 @@ def imported(path, package):
     return {words.split()[0] for line in lines for words in line.strip("()").split(",") if words.strip()}
 
 
-@pytest.mark.parametrize("name", FACES.keys() - {"raster"})
+@pytest.mark.parametrize("name", sorted(FACES.keys() - {"raster"}))
 def test_a_face_lists_what_other_rooms_use_and_nothing_else(name):
     """That of the rasteriser is for users."""
     others = [path for path in (ROOT / "warpav").rglob("*.py*") if path.suffix in (".py", ".pyi")]
