@@ -94,7 +94,7 @@ def test_a_front_by_number(working_directory, capsys):
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_front_by_cost_keeps_every_budget(monkeypatch):
-    monkeypatch.setattr("warpav.runs.front._MOST_BUDGETS", 2)
+    monkeypatch.setattr("warpav.runs._front._MOST_BUDGETS", 2)
     config = wa.Config.load("quick", *PLAIN)
     placement = wa.Placement(wa.town([0]), modules={"narrow": "0..1", "fisheye": (1, 2)}, config=config)
     found = front(placement, by="cost")

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("working_directory")
 
 GPU = wp.is_cuda_available()
 SHORT_POLISH = """
-import warpav.optimisation.pool_search as search
+import warpav.optimisation._pool_search as search
 search._FIRST_POLISH = search._FURTHER_POLISH = search._LAST_POLISH = (3, 0.4)
 """
 COMMAND = f"{SHORT_POLISH}import sys; from warpav.cli.app import main; sys.exit(main())"

@@ -46,9 +46,9 @@ def unbuilt(monkeypatch):
     """Seeds that were built in this process, which are none where all is read."""
     seeds = []
 
-    def build(seed, level, fleet):
+    def build(seed, level, fleet, street):
         seeds.append(seed)
-        return level_scene(seed, level)
+        return level_scene(seed, level, fleet, street)
 
     monkeypatch.setattr("warpav.scene.town._levels.level_scene", build)
     return seeds

@@ -167,9 +167,8 @@ class SceneConfig(Section):
 
     source: Literal["town", "traffic", "places", "captured", "folder"] = Field(
         default="town",
-        description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; places mixes "
-        "both by scenes.places; captured takes images of embedded ones and makes meshes of these; folder reads "
-        "scene_<seed>.glb files",
+        description="town builds the embedded street scenes; traffic those of recorded traffic; places mixes both; "
+        "captured takes images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
     )
     level: Levels | None = Field(
         default=None,
@@ -218,8 +217,8 @@ class SceneConfig(Section):
     )
     places: Places | None = Field(
         default=None,
-        description="places that source: places takes scenes of in turn: levels of the town such as town:dense, sind, "
-        "and paths of recorded traffic; without scenes.test_places the last third is for the test",
+        description="what source: places takes scenes of in turn: levels of the town such as town:dense, sind, paths "
+        "of recorded traffic; without scenes.test_places the last third is for the test",
     )
     selection_places: Places | None = Field(
         default=None, description="the same for the scenes of scenes.validation_seeds; null: those of the search"
@@ -261,25 +260,19 @@ class SceneConfig(Section):
         if self.vehicles_share is not None and self.vehicles is None:
             text = f"expected null without scenes.vehicles, got {self.vehicles_share:g}"
             mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")
-        if self.source == "places":
-            self._check_places()
+        if self.source == "places" and len(self.places or ()) < 1 + (self.test_places is None):
+            text = f"expected two places or more, such as [sind, town:dense], got {len(self.places or ())}"
+            mistake(f"{text}; or scenes.test_places", "places", "source")
+        if self.selection_places is not None and self.validation_seeds is None:
+            mistake("expected null without scenes.validation_seeds", "selection_places", "validation_seeds")
         if self.moments_per_street > 1 and (self.source != "town" or set(self.level or ("easy",)) - {"urban", "dense"}):
-            text = f"expected 1 but for embedded streets of level urban or dense, got {self.moments_per_street}"
-            mistake(text, "moments_per_street", "level")
+            mistake("expected 1 but for embedded streets of level urban or dense", "moments_per_street", "level")
         if self.source == "folder" and self.folder is None:
             mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
         if self.source == "folder" and self.folder and not self.folder.is_dir():
             text = f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one"
             mistake(text, "folder")
         return self
-
-    def _check_places(self) -> None:
-        if self.places is None:
-            mistake("expected places because scenes.source is places, such as [sind, town:dense], got none", "places")
-        elif self.test_places is None and len(self.places) < 2:
-            mistake("expected at least two places, so that one is kept for the test, got one", "places", "test_places")
-        elif self.selection_places is not None and self.validation_seeds is None:
-            mistake("expected null without scenes.validation_seeds", "selection_places", "validation_seeds")
 
 
 class _FreeConfig(Section):
