@@ -155,7 +155,8 @@ def add_names(sheet: Sheet) -> None:
             back_rad = math.atan2(-ahead_mm[1], -ahead_mm[0]) if np.linalg.norm(ahead_mm) > 3.0 else 0.25 * math.pi
             tried_mm = around(place_mm, size_mm, _AWAY_MM, back_rad)
             leaders_mm = [_leader_mm(place_mm, each_mm, size_mm) for each_mm in tried_mm]
-            beyond_mm = np.linspace(*np.swapaxes(leaders_mm, 0, 1), 12, axis=1)[:, 3:, None]
+            starts_mm, ends_mm = np.array(leaders_mm).swapaxes(0, 1)
+            beyond_mm = np.linspace(starts_mm, ends_mm, 12, axis=1)[:, 3:, None]
             low_mm, high_mm = (end(beyond_mm, axis=(0, 1)) for end in (np.min, np.max))
             near_mm = symbol_mm[((symbol_mm > low_mm - _CLEAR_MM) & (symbol_mm < high_mm + _CLEAR_MM)).all(axis=1)]
             is_crossed = (np.linalg.norm(beyond_mm - near_mm, axis=-1) < 0.5 * _CLEAR_MM).any(axis=(1, 2))
