@@ -80,12 +80,12 @@ SEARCHING = {"cli", "experiments", "optimisation", "runs", "view", "test_api.py"
 
 @pytest.fixture(scope="module", autouse=True)
 def short_polish(request):
-    """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
+    """Searches by a pool in this process take three steps where they polish, not up to sixteen; till ``undo()``."""
     with pytest.MonkeyPatch.context() as patch:
         if request.path.relative_to(Path(__file__).parent).parts[0] in SEARCHING:
             for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
                 patch.setattr(f"warpav.optimisation._pool_search.{name}", (3, 0.4))
-        yield
+        yield patch
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ CAMERA = {
     **{"width_px": 96, "height_px": 96},
 }
 REQUIREMENT = {"area": {"around_m": [0.0, 2.0]}, "grid_m": 2.0, "object": "post", "pixels": 10, "visible_share": 0.5}
-EVALUATE = ["scenes.test_seeds=[1000]", "losses.probability=visible_share"]
+EVALUATE = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "losses.probability=visible_share"]
 
 
 def _write(name, data):
@@ -151,4 +151,4 @@ def test_in_a_terminal_with_colours_nothing_of_a_name_is_obeyed():
     assert not set(text) & {"\x07"}
     assert "\x1b]" not in text
     assert f"wrote {VISIBLE}.json" in text
-    assert VISIBLE in text.partition("test scenes")[2]
+    assert VISIBLE in text.partition("1 scene")[2]

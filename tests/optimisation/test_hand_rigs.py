@@ -104,8 +104,9 @@ def test_a_search_is_never_behind_a_rig_by_hand():
     [[], ["scenes.ego=panel_van"], ["scenes.ego=bus"], ["scenes.level=dense"], ["scenes.source=traffic"]],
     ids=["car", "van", "bus", "dense", "sind"],
 )
-def test_the_rig_of_the_trial_polished_is_never_ahead(traffic, cameras):
+def test_the_rig_of_the_trial_polished_is_never_ahead(traffic, cameras, short_polish):
     """Four corners at 42 degrees, of six pairs at 30, 90 and 150, pitch 18, those at the front .5 m set back."""
+    short_polish.undo()
     small = ["scenes.train_seeds=0..11", "scenes.test_seeds=[5000]", "optimiser.pool_cameras=48", *traffic]
     config = load_config("quick", [*small, f"rig.cameras={cameras}", "camera.width_px=128", "camera.height_px=128"])
     placement = Placement.from_config(config).prepare(NullProgress())
