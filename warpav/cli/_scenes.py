@@ -75,8 +75,8 @@ def _scenes_traffic(
     *recordings: Annotated[
         Path,
         Parameter(
-            help="Recorded traffic: JSON, CommonRoad XML, folders of Argoverse 2 logs, or folders of these; by default "
-            "the crossing that ships with warpav."
+            help="Recorded traffic: JSON, CommonRoad, Argoverse 2, nuScenes, Waymo as JSON, SUMO, INTERACTION, inD and "
+            "its kin, or folders of these; by default the crossing that ships with warpav."
         ),
     ],
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
