@@ -124,7 +124,7 @@ def _detector_train(
     image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
     device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
     processes: Annotated[int, Parameter(help="Processes that render the images.")] = 2,
-    steps: Annotated[int, Parameter(help="Length of the training.")] = 11_000,
+    steps: Annotated[int, Parameter(help="Length of the training.")] = 24_000,
     batch_size: Annotated[int, Parameter(help="Images of 256 px a step.")] = 192,
     seed: Annotated[int, Parameter(help="Of the weights and of the batches.")] = 0,
     stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command continues.")] = float("inf"),

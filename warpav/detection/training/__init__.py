@@ -14,7 +14,7 @@ class TrainingOptions:
 
     device: str = "cpu"  # of PyTorch
     processes: int = 2  # that render
-    steps: int = 11_000  # length of the schedule
+    steps: int = 24_000  # length of the schedule
     batch_size: int = 192  # images of 256 px a step; of larger ones as many as have the same number of pixels
     seed: int = 0  # of the weights and of the batches
     stop_after_minutes: float = math.inf  # stop before the schedule's end

@@ -5,7 +5,8 @@ and box agree best with it. Scores are trained by the varifocal loss (Zhang et a
 that agreement, boxes by the generalised IoU (Rezatofighi et al., CVPR 2019).
 
 Renders have clean edges, even exposure and no noise. Random gamma, saturation, contrast, brightness, white balance, a
-gradient of the light across the image, defocus and sensor noise keep the network from leaning on that.
+gradient of the light across the image, defocus and sensor noise keep the network from leaning on that; towards the
+end of a training they weaken, since renders are what the network is for.
 """
 
 from __future__ import annotations
@@ -129,15 +130,20 @@ _KEPT_FRACTION_MIN = 0.25
 MIN_SIDE_PX = 4.0
 
 
-def augment(images_rgb: Tensor, truth: TargetBoxes, generator: torch.Generator) -> tuple[Tensor, TargetBoxes]:
-    """A random view of every image: the network's input, 0..1, [image, 3, row, column], and the objects in it."""
+def augment(
+    images_rgb: Tensor, truth: TargetBoxes, generator: torch.Generator, *, strength: float = 1.0
+) -> tuple[Tensor, TargetBoxes]:
+    """A random view of every image: the network's input, 0..1, [image, 3, row, column], and the objects in it.
+
+    ``strength`` in 0..1 scales how often images are zoomed, and how far their colours leave the render's.
+    """
     count, rows, columns = images_rgb.shape[:3]
     device = images_rgb.device
 
     def uniform(low: float, high: float, *shape: int) -> Tensor:
         return low + (high - low) * torch.rand(shape, generator=generator, device=device)
 
-    zoomed = uniform(0, 1, count) < _ZOOM_PROBABILITY
+    zoomed = uniform(0, 1, count) < strength * _ZOOM_PROBABILITY
     zoom = torch.where(zoomed, uniform(math.log(_ZOOM_MIN), math.log(_ZOOM_MAX), count).exp(), 1.0)
     flipped = uniform(0, 1, count) < 0.5
     # An enlarged image is shifted within the frame that it covers, a reduced one within the frame that holds it.
@@ -146,7 +152,7 @@ def augment(images_rgb: Tensor, truth: TargetBoxes, generator: torch.Generator) 
 
     image = images_rgb.permute(0, 3, 1, 2).float() / 255.0
     image = _warp(image - _GREY, zoom, shift_px / size_px, flipped) + _GREY
-    image = _recolour(image, uniform)
+    image = _recolour(image, uniform, strength)
     return image, _move(truth, zoom, shift_px, flipped, size_px)
 
 
@@ -160,24 +166,27 @@ def _warp(image: Tensor, zoom: Tensor, shift: Tensor, flipped: Tensor) -> Tensor
     return functional.grid_sample(image, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
 
 
-def _recolour(image: Tensor, uniform) -> Tensor:  # noqa: ANN001 - a closure of `augment`
+def _recolour(image: Tensor, uniform, strength: float) -> Tensor:  # noqa: ANN001 - a closure of `augment`
+    def factor(low: float, high: float, *shape: int) -> Tensor:
+        return 1.0 + strength * (uniform(low, high, *shape) - 1.0)
+
     count = len(image)
-    image = image.clamp(0.0, 1.0).pow(uniform(math.log(0.6), math.log(1.6), count, 1, 1, 1).exp())
+    image = image.clamp(0.0, 1.0).pow((strength * uniform(math.log(0.6), math.log(1.6), count, 1, 1, 1)).exp())
     grey = image.mean(dim=1, keepdim=True)
-    image = grey + (image - grey) * uniform(0.3, 1.4, count, 1, 1, 1)
+    image = grey + (image - grey) * factor(0.3, 1.4, count, 1, 1, 1)
     middle = image.mean(dim=(1, 2, 3), keepdim=True)
-    image = middle + (image - middle) * uniform(0.7, 1.3, count, 1, 1, 1)
-    image = image * uniform(0.65, 1.35, count, 1, 1, 1) * uniform(0.9, 1.1, count, 3, 1, 1)
-    y = torch.linspace(-1.0, 1.0, image.shape[2], device=image.device)[:, None]
-    x = torch.linspace(-1.0, 1.0, image.shape[3], device=image.device)
+    image = middle + (image - middle) * factor(0.7, 1.3, count, 1, 1, 1)
+    image = image * factor(0.65, 1.35, count, 1, 1, 1) * factor(0.9, 1.1, count, 3, 1, 1)
+    y = torch.linspace(-strength, strength, image.shape[2], device=image.device)[:, None]
+    x = torch.linspace(-strength, strength, image.shape[3], device=image.device)
     image = image * (1.0 + uniform(-0.2, 0.2, count, 1, 1, 1) * x + uniform(-0.2, 0.2, count, 1, 1, 1) * y)
-    # Half of the images stay sharp, the others go through a binomial filter of 5 x 5 pixels.
+    # At full strength half of the images stay sharp, the others go through a binomial filter of 5 x 5 pixels.
     line = _constant((1.0, 4.0, 6.0, 4.0, 1.0), image.device) / 16.0
     filters = (line[:, None] * line).expand(3, 1, 5, 5).contiguous()
     blurred = functional.conv2d(functional.pad(image, (2, 2, 2, 2), mode="replicate"), filters, groups=3)
-    image = image.lerp(blurred, (uniform(-1.0, 1.0, count, 1, 1, 1)).clamp(0.0))
+    image = image.lerp(blurred, uniform(strength - 2.0, strength, count, 1, 1, 1).clamp(0.0))
     noise = torch.rand_like(image) - 0.5
-    return (image + noise * uniform(0.0, 0.12, count, 1, 1, 1)).clamp(0.0, 1.0)
+    return (image + noise * uniform(0.0, 0.12 * strength, count, 1, 1, 1)).clamp(0.0, 1.0)
 
 
 @functools.cache

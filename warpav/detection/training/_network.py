@@ -7,6 +7,7 @@ image.
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
 import warnings
@@ -102,9 +103,9 @@ class TownNetwork(nn.Module):
         self,
         class_count: int = len(CLASS_NAMES),
         *,
-        channels: Sequence[int] = (16, 32, 48, 96, 192),
+        channels: Sequence[int] = (16, 32, 64, 96, 176),
         depth: Sequence[int] = (1, 2, 2, 2),
-        neck_channels: Sequence[int] = (16, 48, 96, 128),
+        neck_channels: Sequence[int] = (32, 64, 96, 112),
     ) -> None:
         super().__init__()
         self.class_count = class_count
@@ -178,9 +179,7 @@ def export_network(network: TownNetwork, path: Path) -> float:
     import onnx
     import onnxruntime
 
-    copy = TownNetwork(network.class_count)
-    copy.load_state_dict({name: value.detach().cpu() for name, value in network.state_dict().items()})
-    exported = _ExportedNetwork(copy).eval()
+    exported = _ExportedNetwork(copy.deepcopy(network).cpu()).eval()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(

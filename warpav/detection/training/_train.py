@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from warpav.core.errors import InputError
-from warpav.detection.training import TrainingOptions
+from warpav.detection.training import CLASS_NAMES, TrainingOptions
 from warpav.detection.training._data import (
     TRAIN_SUBSETS,
     LabelledImages,
@@ -27,6 +27,10 @@ from warpav.detection.training._data import (
 from warpav.detection.training._loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
 from warpav.detection.training._network import TownNetwork, export_network
 
+# An image is drawn the more often, the more of these kinds it shows; they are rarer than cars.
+_RARE_NAMES = ("motorcycle", "pedestrian", "cyclist")
+# Images are varied at full strength up to this share of the training, then less and less, down to that strength.
+_FULL_VARIETY_UNTIL, _LAST_VARIETY = 0.5, 0.25
 # Relative frequency of batches by image side [px].
 _SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
 
@@ -48,6 +52,7 @@ class DeviceData:
 
     images_rgb: Tensor
     truth: TargetBoxes
+    frequency: Tensor  # how often each image is drawn, relative to one without kinds that are rare
 
     @classmethod
     def load(cls, labelled: Iterable[LabelledImages], device: torch.device) -> DeviceData:
@@ -66,6 +71,7 @@ class DeviceData:
         ignored = np.concatenate([each.labels.ignored for each in labelled])
         side_px = (box_px[..., 2:] - box_px[..., :2]).min(axis=-1)
         ignored |= side_px < MIN_SIDE_PX
+        rare = [(~ignored & (class_index == CLASS_NAMES.index(name))).any(axis=1) for name in _RARE_NAMES]
         return cls(
             images_rgb,
             TargetBoxes(
@@ -73,6 +79,7 @@ class DeviceData:
                 torch.from_numpy(class_index.astype(np.int64)).to(device),
                 torch.from_numpy(ignored).to(device),
             ),
+            torch.from_numpy(1.0 + np.sum(rare, axis=0, dtype=np.float32)).to(device),
         )
 
     def batch(self, index: Tensor) -> tuple[Tensor, TargetBoxes]:
@@ -141,8 +148,10 @@ class Training:
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
         # Drawn on the device: a copy would wait for all that the device has yet to do.
-        index = torch.randint(len(data.images_rgb), (batch_size,), generator=self.generator, device=self.device)
-        images, truth = augment(*data.batch(index), self.generator)
+        index = torch.multinomial(data.frequency, batch_size, replacement=True, generator=self.generator)
+        share = self.step / max(1, self.step_count)
+        variety = float(np.interp(share, (_FULL_VARIETY_UNTIL, 1.0), (1.0, _LAST_VARIETY)))
+        images, truth = augment(*data.batch(index), self.generator, strength=variety)
         images = images.contiguous(memory_format=torch.channels_last)
         # A CPU gains nothing from half precision.
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
