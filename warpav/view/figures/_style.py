@@ -83,13 +83,12 @@ def figure_bytes(figure: Any, suffix: str) -> bytes:  # noqa: ANN401 (matplotlib
     """A figure as a file of a kind, the same every time."""
     import matplotlib
 
-    encoded, layout = io.BytesIO(), figure.get_layout_engine()
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # found once: `savefig` would look for it twice more
-    options: Any = {"pil_kwargs": {"compress_level": 4}} if suffix == ".png" else {}  # the default takes twice as long
+    encoded = io.BytesIO()
+    if suffix == ".png":  # `savefig` would draw twice; the default level takes twice as long
+        figure.canvas.print_png(encoded, metadata=_METADATA[suffix], pil_kwargs={"compress_level": 4})
+        return encoded.getvalue()
     with matplotlib.rc_context({"svg.hashsalt": "warpav"}):
-        figure.savefig(encoded, format=suffix[1:], metadata=_METADATA[suffix], **options)
-    figure.set_layout_engine(layout)
+        figure.savefig(encoded, format=suffix[1:], metadata=_METADATA[suffix])
     return encoded.getvalue()
 
 
