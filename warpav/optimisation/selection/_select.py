@@ -7,11 +7,13 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from warpav.core.cores import available_cores
 from warpav.core.errors import ArgumentError
 from warpav.optimisation.selection._problem import (
     SelectionProblem,
@@ -303,15 +305,14 @@ def _first_rigs(
             break
         rig = random_rig(problem, rng)
         rigs += [] if rig is None else [rig]
-    cost = np.zeros(problem.camera_count)
-    while len(rigs) < _FEWEST_STARTS:
-        left_s = deadline_s - time.perf_counter()
-        if rigs and left_s <= 0.0:
-            break
+    missing, left_s = max(_FEWEST_STARTS - len(rigs), 0), deadline_s - time.perf_counter()
+    cost = [np.zeros(problem.camera_count), *rng.uniform(size=(missing, problem.camera_count))]
+    limit_s = [max(left_s if k == len(rigs) == 0 else _FURTHER_STARTS_TIME * left_s, 1e-3) for k in range(missing)]
+    with ThreadPoolExecutor(available_cores()) as threads:
+        tried = [threads.submit(feasible_rig, problem, time_limit_s=limit_s[k], cost=cost[k]) for k in range(missing)]
+    for each in tried:
         try:
-            rig = feasible_rig(
-                problem, time_limit_s=max(_FURTHER_STARTS_TIME * left_s if rigs else left_s, 1e-3), cost=cost
-            )
+            rig = each.result()
         except TimeoutError:
             if rigs:
                 break
@@ -323,7 +324,6 @@ def _first_rigs(
             raise_conflict(problem, time_limit_s=max(left_s, 1.0))
         else:
             rigs.append(rig)
-        cost = rng.uniform(size=problem.camera_count)
     return exchange(problem, np.array(rigs))[0]
 
 
