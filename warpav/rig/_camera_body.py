@@ -85,9 +85,7 @@ def _beam(start_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
 def bodies_of(rig: Rig, vehicle: Mesh) -> Mesh | None:
     """The bodies of all cameras of a rig that stand outside of the vehicle, as one mesh in the ego frame [m].
 
-    None where all stand behind glass.
-
-    ``vehicle`` in the ego frame [m]; stalks go to its nearest point.
+    None where all stand behind glass. ``vehicle`` in the ego frame [m]; stalks go to its nearest point.
     """
     outside = [camera for camera in rig.cameras if camera.behind_glass is None]
     meshes = [
@@ -99,12 +97,18 @@ def bodies_of(rig: Rig, vehicle: Mesh) -> Mesh | None:
 
 def nearest_on(vehicle: Mesh, point_m: Sequence[np.ndarray]) -> np.ndarray:
     """The points of a mesh's faces that are nearest to some points [m], float64 [point, 3]."""
-    from trimesh.triangles import closest_point
-
     corner_m = vehicle.vertex_m[vehicle.triangle].astype(np.float64)
+    side_m = np.roll(corner_m, -1, axis=1) - corner_m
+    normal = np.cross(side_m[:, 0], side_m[:, 1])
+    inward, per_m2 = np.cross(normal[:, None], side_m), 1.0 / np.maximum((side_m**2).sum(axis=2), 1e-30)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
     nearest_m = np.zeros((len(point_m), 3))
     for k, each_m in enumerate(point_m):
-        found_m = closest_point(corner_m, np.broadcast_to(each_m, (len(corner_m), 3)))
+        to_m = each_m - corner_m
+        along = np.clip((to_m * side_m).sum(axis=2) * per_m2, 0.0, 1.0)
+        is_over = ((to_m * inward).sum(axis=2) > 0.0).all(axis=1)  # else a side is nearest
+        off_m = (to_m[is_over, 0] * normal[is_over]).sum(axis=1, keepdims=True) * normal[is_over]
+        found_m = np.concatenate([(corner_m + along[..., None] * side_m).reshape(-1, 3), each_m - off_m])
         nearest_m[k] = found_m[np.linalg.norm(found_m - each_m, axis=1).argmin()]
     return nearest_m
 

@@ -94,26 +94,19 @@ def oddities(rig: Rig) -> Iterator[str]:
 
 def off_vehicle(rig: Rig, body: Mesh) -> str:
     """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is."""
+    from warpav.rig._camera_body import nearest_on
+
     if unit := _in_millimetres(rig):
         return unit
-    away_m = {camera.name: _distance_m(camera.position_m, body) for camera in rig.cameras}
+    # near a vertex is near enough not to be told
+    apart = [c for c in rig.cameras if np.linalg.norm(body.vertex_m - c.position_m, axis=1).min() > _OFF_VEHICLE_M]
+    nearest_m = nearest_on(body, [each.position_m for each in apart])
+    away_m = {each.name: float(np.linalg.norm(each.position_m - at)) for each, at in zip(apart, nearest_m, strict=True)}
     far = {name: distance_m for name, distance_m in away_m.items() if distance_m > _OFF_VEHICLE_M}
     if not far:
         return ""
     farthest = max(far, key=far.__getitem__)
     return (
-        f"{len(far)} of {len(away_m)} cameras are more than {_OFF_VEHICLE_M:g} m from the surface of the vehicle, "
+        f"{len(far)} of {len(rig.cameras)} cameras are more than {_OFF_VEHICLE_M:g} m from the surface of the vehicle, "
         f"{farthest} {far[farthest]:.1f} m; is the rig of another vehicle? scenes.ego says which carries it"
     )
-
-
-def _distance_m(position_m: np.ndarray, body: Mesh) -> float:
-    """Distance of a point to a surface [m]; from a vertex alone where one is near enough not to be told."""
-    from trimesh.triangles import closest_point
-
-    to_vertex_m = float(np.linalg.norm(body.vertex_m - position_m, axis=1).min())
-    if to_vertex_m <= _OFF_VEHICLE_M:
-        return to_vertex_m
-    corner_m = body.vertex_m[body.triangle].astype(np.float64)
-    closest_m = closest_point(corner_m, np.broadcast_to(position_m, (len(corner_m), 3)))
-    return float(np.linalg.norm(closest_m - position_m, axis=1).min())
