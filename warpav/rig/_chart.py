@@ -67,7 +67,10 @@ def chart_of(
     if not names or len(set(names)) != len(names):
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
-    field_of = {zone.name: _zone_surface(zone, mesh, **options) for zone in zones}
+    field_of, known = dict[str, MountSurface](), dict[tuple[object, ...], MountSurface]()
+    for zone in zones:  # many share a part of the body
+        part = *zone.normal, *zone.origin_m, id(zone.box_m), id(zone.keep_out_m), id(zone.outline_m)
+        field_of[zone.name] = known[part] = known.get(part) or _zone_surface(zone, mesh, **options)
     pane_of = {zone.name: _pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
     surface_of = {name: _with_skirt(surface) for name, surface in field_of.items()}
     names, module_of_zone, pairs, notes = [module.name for module in modules], np.zeros(0, np.int64), (), ()
