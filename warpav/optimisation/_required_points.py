@@ -118,7 +118,7 @@ class RequiredPoints:
 
     def __getstate__(self) -> dict[str, Any]:
         """As it travels and is copied: without what is on a device."""
-        kept = {name: value for name, value in self.__dict__.items() if name != "_drawn"}
+        kept = {name: value for name, value in self.__dict__.items() if name != "world"}
         return {**kept, "_opened": {}, "_renderers": KeptRenderers(), "_seen": {}}
 
     def through(self, pane: Pane | None) -> RequiredPoints:
@@ -131,7 +131,7 @@ class RequiredPoints:
         return self._opened[pane]
 
     @cached_property
-    def _drawn(self) -> GhostWorld:
+    def world(self) -> GhostWorld:
         """The points on the device."""
         return GhostWorld(self.ghosts, self.ego, device=self.device, renderers=self._renderers)
 
@@ -255,7 +255,7 @@ class RequiredPoints:
 
     def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
         """What each camera sees of each point; arguments as of `probability`."""
-        return self._drawn.visibility(ego_from_camera, models)
+        return self.world.visibility(ego_from_camera, models)
 
     def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
         """Make sure that a pool of cameras can meet every hard point. ``probability`` [camera, point]."""

@@ -160,9 +160,8 @@ def evaluate_on(
 
 def requirements_of(rigs: Mapping[str, Rig], placement: Placement) -> dict[str, RequirementResult]:
     """What rigs meet of what a placement requires near the vehicle, by name; empty where it requires nothing."""
-    if not placement.requirements:
-        return {}
-    return check_rigs(rigs, placement.ego, placement.requirements, device=str(placement.mount.device))
+    points = placement.test_points
+    return {} if points is None else check_rigs(rigs, points.world)
 
 
 def weights_on(scenes: Sequence[DeviceScene], placement: Placement) -> np.ndarray | None:

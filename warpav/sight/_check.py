@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -263,38 +263,23 @@ def check_requirements(
     """
     if isinstance(requirements, (str, Path)):
         requirements = read_requirements(requirements)
-    found = check_rigs(
-        {"": rig},
-        ego if isinstance(ego, Mesh) else ego.ego,
-        requirements,
-        render_width_px=render_width_px,
-        supersampling=supersampling,
-        device=device,
-    )
-    return found[""]
+    ego = ego if isinstance(ego, Mesh) else ego.ego
+    size = {"render_width_px": render_width_px, "supersampling": supersampling}
+    return check_rigs({"": rig}, GhostWorld(Ghosts.of(requirements, ego), ego, **size, device=device))[""]
 
 
-def check_rigs(
-    rigs: Mapping[str, Rig],
-    ego: Mesh,
-    requirements: Sequence[Requirement],
-    *,
-    render_width_px: int = RENDER_WIDTH_PX,
-    supersampling: int = 1,
-    device: str = "cpu",
-) -> dict[str, RequirementResult]:
-    """As `check_requirements` for several rigs, by name: the test objects are made once."""
-    ghosts, body = Ghosts.of(requirements, ego), Body.of(ego)
-    worlds: dict[Pane | None, GhostWorld] = {}
-    options = {"render_width_px": render_width_px, "supersampling": supersampling, "device": device}
+def check_rigs(rigs: Mapping[str, Rig], world: GhostWorld) -> dict[str, RequirementResult]:
+    """As `check_requirements` for several rigs, by name, each among the test objects of a vehicle's world."""
+    ghosts, body = world.ghosts, Body.of(world.ego)
+    worlds: dict[Pane | None, GhostWorld] = {None: world}
     results = {}
     for name, rig in rigs.items():
         pose, models = poses_of(rig)
         panes = [camera.behind_glass for camera in rig.cameras]
         share, pixels = np.zeros((2, len(panes), len(ghosts)))
         for pane in dict.fromkeys(panes):
-            if pane not in worlds:
-                worlds[pane] = GhostWorld(ghosts, ego if pane is None else pane.opened(ego), **options)
+            if pane is not None and pane not in worlds:
+                worlds[pane] = replace(world, ego=pane.opened(world.ego))
             group = [k for k, each in enumerate(panes) if each == pane]
             seen = worlds[pane].visibility(pose[group], [models[k] for k in group])
             share[group], pixels[group] = seen.visible_share, seen.pixels
