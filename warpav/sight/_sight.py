@@ -100,9 +100,9 @@ def free_shares(
             record_tape=False,
         )
 
-    threads = 1 if device.is_cuda else available_cores()
-    chunk = -(-count // threads)
-    list(_threads(threads).map(launch, range(0, count, chunk)))
+    chunk = count if device.is_cuda or count < 1000 else -(-count // available_cores())  # few: sooner alone
+    firsts = range(0, count, chunk)
+    list(map(launch, firsts) if len(firsts) == 1 else _threads(len(firsts)).map(launch, firsts))
     return share.numpy()
 
 
