@@ -68,11 +68,10 @@ class RunPictures:
         self._draw_few()
         if full:
             self._draw_further()
-        problem = opengl_problem()
-        if problem is None:
-            self._draw_rig()
-        else:
+        if problem := opengl_problem():
             progress.say(f"no picture of the rig in three dimensions: {problem}")
+        else:
+            self._draw_rig()
 
     def _draw_few(self) -> None:
         """The pictures of the first page, but for the rig."""
@@ -141,11 +140,8 @@ class RunPictures:
         for name, rig in self._drawn.rigs.items():
             canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
             path_m = trajectory(self._drawn.events) if rig is self.found else None
-            plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m)
-            try:
+            with contextlib.closing(drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m)) as plotter:
                 images.append(render_rgb(plotter))
-            finally:
-                plotter.close()
         save_rgb(np.hstack(images), self.folder.figure_path("rig"))
 
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:

@@ -8,12 +8,14 @@ import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from functools import cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
 from warpav.core.table import Table
 from warpav.optimisation import ObjectOutcome
@@ -214,25 +216,28 @@ def _images(files: Sequence[Path | io.BytesIO]) -> list[tuple[str, tuple[int, in
     """Images as ``data:`` addresses with their sizes [px], made smaller until all of them fit."""
     from PIL import Image, UnidentifiedImageError
 
-    originals = []
-    for file in files:
+    def opened(file: Path | io.BytesIO) -> Image.Image:
         try:
             with Image.open(file) as image:
-                originals.append(image.convert("RGB"))
+                return image.convert("RGB")
         except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
             text = " ".join(str(error).split())
             raise InputError(f"{file}: expected an image, got: {text}; was the file changed?") from None
+
+    def encoded(side_px: int, quality: int, original: Image.Image) -> tuple[bytes, tuple[int, int]]:
+        image, stream = original.copy(), io.BytesIO()
+        image.thumbnail((side_px, side_px))
+        image.save(stream, "WEBP", quality=quality, method=2)  # the default takes twice as long, for 3 %
+        return stream.getvalue(), image.size
+
     found: list[tuple[bytes, tuple[int, int]]] = []
-    for side_px, quality in _SIZES:
-        found = []
-        for original in originals:
-            image, encoded = original.copy(), io.BytesIO()
-            image.thumbnail((side_px, side_px))
-            image.save(encoded, "WEBP", quality=quality, method=2)  # the default takes twice as long, for 3 %
-            found.append((encoded.getvalue(), image.size))
-        if sum(len(encoded) for encoded, _ in found) <= _IMAGE_BYTES:
-            break
-    return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
+    with ThreadPoolExecutor(available_cores()) as threads:
+        originals = list(threads.map(opened, files))
+        for size in _SIZES:
+            found = list(threads.map(partial(encoded, *size), originals))
+            if sum(len(each) for each, _ in found) <= _IMAGE_BYTES:
+                break
+    return [("data:image/webp;base64," + base64.b64encode(each).decode(), size) for each, size in found]
 
 
 def _further(run: RunContent) -> Table | None:
