@@ -264,8 +264,8 @@ def check_requirements(
     if isinstance(requirements, (str, Path)):
         requirements = read_requirements(requirements)
     ego = ego if isinstance(ego, Mesh) else ego.ego
-    size = {"render_width_px": render_width_px, "supersampling": supersampling}
-    return check_rigs({"": rig}, GhostWorld(Ghosts.of(requirements, ego), ego, **size, device=device))[""]
+    world = GhostWorld(Ghosts.of(requirements, ego), ego, render_width_px, supersampling, device)
+    return check_rigs({"": rig}, world)[""]
 
 
 def check_rigs(rigs: Mapping[str, Rig], world: GhostWorld) -> dict[str, RequirementResult]:
