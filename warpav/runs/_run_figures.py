@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
-from warpav.optimisation import ObjectOutcome
+from warpav.optimisation import ObjectOutcome, observe_scenes
 from warpav.rig import Rig
 from warpav.runs._drawn_run import DrawnRun
 from warpav.runs._evaluate import requirements_of
@@ -24,7 +25,7 @@ from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._run_folder import RunFolder
 from warpav.runs.report._content import read_evaluation
 from warpav.runs.report.report import SHOWN_SCENES
-from warpav.view import Canvas, drawing_of, opengl_problem, plot
+from warpav.view import Canvas, detections_sheet, drawing_of, load_pyvista, opengl_problem, plot, render_rgb, save_rgb
 
 if TYPE_CHECKING:
     from warpav.detection import DetectionProbability
@@ -65,18 +66,21 @@ class RunPictures:
 
     def draw(self, progress: Progress, *, full: bool) -> None:
         """Draw the pictures of the first page, or all; what this machine cannot draw is said."""
-        self._draw_few()
+        problem = opengl_problem()
+        if problem is None:
+            load_pyvista().Plotter  # noqa: B018 (it imports matplotlib, as figures do: two threads must not)
+        with ThreadPoolExecutor(1) as beside:  # VTK lets go of Python's lock, and some systems want it on this thread
+            few = beside.submit(self._draw_few)
+            if problem is None:
+                self._draw_rig()
+            else:
+                progress.say(f"no picture of the rig in three dimensions: {problem}")
+        few.result()
         if full:
             self._draw_further()
-        if problem := opengl_problem():
-            progress.say(f"no picture of the rig in three dimensions: {problem}")
-        else:
-            self._draw_rig()
 
     def _draw_few(self) -> None:
         """The pictures of the first page, but for the rig."""
-        from warpav.view import detections_sheet
-
         drawn = self._drawn
         has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
         self._plot(drawn, "search", "search" if has_search else "loss_curves")
@@ -86,7 +90,7 @@ class RunPictures:
 
     def _draw_further(self) -> None:
         """All other pictures."""
-        from warpav.view import detections_sheet, requirement_map
+        from warpav.view import requirement_map
 
         placement, drawn = self.placement, self._drawn
         if self.evaluation.mount_tolerance is not None:
@@ -134,8 +138,6 @@ class RunPictures:
 
     def _draw_rig(self) -> None:
         """Start and result on the vehicle in the first test scene, side by side."""
-        from warpav.view import render_rgb, save_rgb
-
         images = []
         for name, rig in self._drawn.rigs.items():
             canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
@@ -147,7 +149,6 @@ class RunPictures:
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
         """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
         from warpav.detection import render_images
-        from warpav.optimisation import observe_scenes
         from warpav.view import own_body_tinted
 
         objective = self.placement.objective
@@ -161,7 +162,6 @@ class RunPictures:
     def _probability(self, model: CameraModel) -> DetectionProbability:
         """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
         known = self.placement.fitted_probabilities
-        same = [each for camera, each in known if camera == model]
         size = model.width_px, model.height_px
         alike = [each for camera, each in known if (camera.width_px, camera.height_px) == size]
-        return [*same, *alike][0]
+        return [*(each for camera, each in known if camera == model), *alike][0]
