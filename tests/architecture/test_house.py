@@ -138,11 +138,11 @@ MOST_LINES = {
     "warpav/rig": 5_504,
     "warpav/runs": 11_746,
     "warpav/scene": 13_135,
-    "warpav/sight": 2_189,
+    "warpav/sight": 2_174,
     "warpav/thesis": 1_172,
-    "warpav/view": 7_769,
+    "warpav/view": 7_768,
     "kernels/warpav_kernels": 7_393,
-    "tests": 46_430,
+    "tests": 46_425,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
 MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 332, 919, 289_600, 812, 9

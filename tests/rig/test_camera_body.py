@@ -92,7 +92,8 @@ def test_bodies_stand_on_the_skin_and_nobody_sees_his_own():
     roof = Mesh.create([[-2, -1, 1.5], [2, -1, 1.5], [2, 1, 1.5], [-2, 1, 1.5]], [[0, 1, 2], [0, 2, 3]])
     ahead = looking([1.0, 0.0, 1.75], name="ahead")
     behind = looking([0.2, 0.0, 1.75], name="behind")
-    np.testing.assert_allclose(nearest_on(roof, [ahead.position_m]), [[1.0, 0.0, 1.5]])
+    there_m = nearest_on(roof, [ahead.position_m, [3, 0.5, 1.7], [3, 2, 1]])  # above a face, off a side and a corner
+    np.testing.assert_allclose(there_m, [[1.0, 0.0, 1.5], [2.0, 0.5, 1.5], [2.0, 1.0, 1.5]])
     bodies = bodies_of(Rig([ahead, behind]), roof)
     assert bodies.bounds_m()[0, 2] == pytest.approx(1.5, abs=0.02)
     # the box ends at the optical centre, so that 4 of its 8 cm are there, and the camera behind sees its back
@@ -101,14 +102,8 @@ def test_bodies_stand_on_the_skin_and_nobody_sees_his_own():
     forward = np.array([[1.0, 0.0, 0.0]])
     assert not hit(bodies, ahead.position_m, forward)[0]
     assert hit(bodies, behind.position_m, forward)[0]
-    volume_m3 = (
-        np.einsum(
-            "ki,ki->k",
-            own.vertex_m[own.triangle][:, 0],
-            np.cross(*np.moveaxis(own.vertex_m[own.triangle][:, 1:], 1, 0)),
-        ).sum()
-        / 6
-    )
+    first_m, *others_m = np.moveaxis(own.vertex_m[own.triangle], 1, 0)
+    volume_m3 = (first_m * np.cross(*others_m)).sum() / 6
     assert volume_m3 == pytest.approx(0.08 * 0.08 * 0.039, rel=1e-4)  # faces point outwards
 
 
