@@ -22,7 +22,6 @@ from warpav.optimisation import (
     Constraints,
     Drawing,
     MountTolerance,
-    PoolRules,
     SearchSpace,
     attainable_objects,
     highest_mount_pose,
@@ -39,7 +38,15 @@ from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
 from warpav.scene import DeviceScene, Scene
-from warpav.sight import RequirementResult, RuleCheck, RuleMargin, check_requirements, check_rigs, read_requirements
+from warpav.sight import (
+    RequirementResult,
+    RuleCheck,
+    RuleMargin,
+    Rules,
+    check_requirements,
+    check_rigs,
+    read_requirements,
+)
 from warpav.view import Canvas, draws
 
 
@@ -209,25 +216,23 @@ def check_rig(
 
 
 def rule_margins(
-    rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | None = None
+    rigs: Mapping[str, Rig], placement: Placement, settled: Rules | None = None, price: float | None = None
 ) -> dict[str, list[RuleMargin]] | None:
-    """How far rigs are from breaking the design rules of a placement, or those of a search.
+    """How far rigs are from breaking the design rules of a placement, or those that a search has settled.
 
-    None where it keeps none.
+    None where it keeps none. ``price``: what the asked gap would cost of the objective, where it is wider; or infinite.
     """
     if not placement.config.keeps_rules:
         return None
     limits = placement.config.rules.limits
-    if searched is None:
-        return {name: list(RuleCheck(rig, placement.ego, limits).margins) for name, rig in rigs.items()}
-    settled = searched.settled
-    is_wider = limits.azimuth_gap_rad is not None and limits.azimuth_gap_rad != settled.azimuth_gap_rad
-    asked_deg = math.degrees(limits.azimuth_gap_rad or 0.0) if is_wider else None
-    price = searched.price_of_gap if is_wider and math.isfinite(searched.price_of_gap) else None
+    asked_rad, widest_rad = limits.azimuth_gap_rad, (settled or limits).azimuth_gap_rad
+    further: dict[str, float | None] = {}
+    if asked_rad is not None and widest_rad is not None and widest_rad > asked_rad + 1e-9:
+        further = {"asked": math.degrees(asked_rad), "price": price if price is not None and price < math.inf else None}
     return {
         name: [
-            replace(each, asked=asked_deg, price=price) if each.rule == "azimuth_gap" else each
-            for each in RuleCheck(rig, placement.ego, settled).margins
+            replace(each, **further) if each.rule == "azimuth_gap" else each
+            for each in RuleCheck(rig, placement.ego, settled or limits).margins
         ]
         for name, rig in rigs.items()
     }
