@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -177,8 +176,3 @@ def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsy
     best, start, last = ((folder.path / f"rig_{role}.yaml").read_bytes() for role in ("best", "initial", "final"))
     assert best == start != last
     assert (folder.path / "report.html").read_text().count(verdict) == 1
-    assert main(["rig", "export", "worse", "--format", "opencv", "--out", "from_run"]) == 0
-    assert main(["rig", "export", "worse/rig_initial.yaml", "--format", "opencv", "--out", "from_start"]) == 0
-    exported = [sorted(file for file in Path(name).rglob("*") if file.is_file()) for name in ("from_run", "from_start")]
-    assert exported[0]
-    assert [file.read_bytes() for file in exported[0]] == [file.read_bytes() for file in exported[1]]

@@ -22,6 +22,7 @@ from warpav.optimisation import (
     Constraints,
     Drawing,
     MountTolerance,
+    PoolRules,
     SearchSpace,
     attainable_objects,
     highest_mount_pose,
@@ -38,15 +39,7 @@ from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
 from warpav.scene import DeviceScene, Scene
-from warpav.sight import (
-    RequirementResult,
-    RuleCheck,
-    RuleMargin,
-    Rules,
-    check_requirements,
-    check_rigs,
-    read_requirements,
-)
+from warpav.sight import RequirementResult, RuleCheck, RuleMargin, check_requirements, check_rigs, read_requirements
 from warpav.view import Canvas, draws
 
 
@@ -216,23 +209,31 @@ def check_rig(
 
 
 def rule_margins(
-    rigs: Mapping[str, Rig], placement: Placement, settled: Rules | None = None, price: float | None = None
+    rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | RigEvaluation | None = None
 ) -> dict[str, list[RuleMargin]] | None:
-    """How far rigs are from breaking the design rules of a placement, or those that a search has settled.
+    """How far rigs are from breaking the design rules of a placement, as wide as a search or a run has settled them.
 
-    None where it keeps none. ``price``: what the asked gap would cost of the objective, where it is wider; or infinite.
+    None where it keeps none. The gap of a run counts where the placement asks for the same.
     """
     if not placement.config.keeps_rules:
         return None
-    limits = placement.config.rules.limits
-    asked_rad, widest_rad = limits.azimuth_gap_rad, (settled or limits).azimuth_gap_rad
-    further: dict[str, float | None] = {}
-    if asked_rad is not None and widest_rad is not None and widest_rad > asked_rad + 1e-9:
-        further = {"asked": math.degrees(asked_rad), "price": price if price is not None and price < math.inf else None}
+    settled, price = placement.config.rules.limits, math.inf
+    asked_deg = math.degrees(settled.azimuth_gap_rad or math.inf)
+    if isinstance(searched, PoolRules):
+        settled, price = searched.settled, searched.price_of_gap
+    elif searched is not None and searched.rules:
+        of_run = {each.rule: each for each in searched.rules.get(searched.first, ())}
+        gap, near = of_run.get("azimuth_gap"), of_run.get("near_ground")
+        settled = replace(settled, near_m=near and near.limit)
+        if gap is not None and gap.limit and gap.asked and math.isclose(gap.asked, asked_deg):
+            settled = replace(settled, azimuth_gap_rad=math.radians(gap.limit))
+            price = math.inf if gap.price is None else gap.price
+    is_wider = math.degrees(settled.azimuth_gap_rad or 0.0) > asked_deg + 1e-9
+    further = {"asked": asked_deg, "price": price if math.isfinite(price) else None} if is_wider else {}
     return {
         name: [
             replace(each, **further) if each.rule == "azimuth_gap" else each
-            for each in RuleCheck(rig, placement.ego, settled or limits).margins
+            for each in RuleCheck(rig, placement.ego, settled).margins
         ]
         for name, rig in rigs.items()
     }

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +27,6 @@ from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.report._content import RunContent, read_content, read_evaluation
 from warpav.runs.robustness import load_states_of, soiling_of
-from warpav.sight import Rules
 
 _CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""
@@ -231,7 +228,8 @@ def measure_rig(
         raise ArgumentError(
             "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
         )
-    own_detector = RunFolder.open(source).environment().get("own_detector") if is_run_folder(source) else None
+    folder = RunFolder.open(source) if is_run_folder(source) else None
+    run, own_detector = (folder and read_evaluation(folder)), (folder and folder.environment().get("own_detector"))
     if own_detector and config.detector.model == "builtin":
         raise OptionError(
             "detector.model",
@@ -255,7 +253,7 @@ def measure_rig(
         pairing_rig[other] = placement.frozen_rig if is_ordered else RunFolder.open(names[other]).rig("initial")
     found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
     measured: dict[str, Any] = {"constraints": {name: placement.objective.constraints.margins(rig)}}
-    measured["rules"] = rule_margins(rigs, placement, *_settled_rules(source, config))
+    measured["rules"] = rule_margins(rigs, placement, run)
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
     if soiled is not None:
         measured["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress)
@@ -266,20 +264,6 @@ def measure_rig(
         write_json(json_file, {"schema": EVALUATION_SCHEMA, **evaluation.to_json()})
         progress.say(f"wrote {json_file}")
     return RunContent(evaluation=evaluation.model_copy(update={"outcomes": None}), config=config)
-
-
-def _settled_rules(source: str, config: Config) -> tuple[Rules, float | None]:
-    """The rules of a configuration, with what the run that ``source`` means has settled; the price of the asked gap."""
-    limits = config.rules.limits
-    evaluation = read_evaluation(RunFolder.open(source)) if is_run_folder(source) else None
-    of_run = (evaluation.rules or {}).get(evaluation.first, ()) if evaluation else ()
-    settled = {each.rule: each for each in of_run}
-    gap, near = settled.get("azimuth_gap"), settled.get("near_ground")
-    limits = replace(limits, near_m=near.limit if near else None)
-    asked_deg = math.degrees(limits.azimuth_gap_rad or 0.0)
-    if gap is None or gap.limit is None or gap.asked is None or not math.isclose(gap.asked, asked_deg):
-        return limits, None  # not wider than asked, or the run asked for something else
-    return replace(limits, azimuth_gap_rad=math.radians(gap.limit)), gap.price
 
 
 def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:

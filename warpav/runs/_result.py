@@ -395,7 +395,6 @@ def complete_folder(
     tolerance = _tolerance(result, test)
     timer.end("errors of mounting")
     constraints = placement.objective.constraints
-    rules = descent.rules if isinstance(descent, PoolRun) else None
     measured = {
         "mount_tolerance": tolerance,
         "rig_of_run": result.start_name if result.is_worse_than_start else OPTIMISED,
@@ -412,7 +411,7 @@ def complete_folder(
         "certificate": None if result.certificate is None else result.certificate.to_json(),
         **({} if result.robust is None else {"robust": Robust(**result.robust)}),
         "constraints": {name: constraints.margins(rig) for name, rig in rigs.items()},
-        "rules": rule_margins(rigs, placement, rules and rules.settled, rules and rules.price_of_gap),
+        "rules": rule_margins(rigs, placement, descent.rules if isinstance(descent, PoolRun) else None),
         "ground": GroundTable(**ground.table()),
     }
     evaluation = compared.compared().model_copy(update=measured)

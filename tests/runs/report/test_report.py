@@ -12,17 +12,7 @@ from html.parser import HTMLParser
 import pytest
 
 from tests.cli.small_run import complaint
-from tests.runs.report.run_parts import (
-    ARMS,
-    arm,
-    difference,
-    evaluation,
-    event,
-    fill,
-    folder_at,
-    picture,
-    seen,
-)
+from tests.runs.report.run_parts import ARMS, arm, difference, evaluation, event, fill, folder_at, picture, seen
 from warpav.core.errors import InputError
 from warpav.rig import Rig, write_rig
 from warpav.runs import RigEvaluation, RunFolder
@@ -489,10 +479,7 @@ def _event(**changed):
 
 
 BROKEN = {
-    "evaluation cut off": (
-        _replace("evaluation.json", '{"schema": 1, "arms"'),
-        "evaluation.json:1: expected valid JSON",
-    ),
+    "evaluation cut off": (_replace("evaluation.json", '{"schema": 1'), "evaluation.json:1: expected valid JSON"),
     "evaluation is a list": (_replace("evaluation.json", "[]"), "evaluation.json: expected what warpav optimise"),
     "text for a number": (_evaluation(scenes={"test": "many"}), "evaluation.json: scenes.test: expected what"),
     "another schema": (_evaluation(schema=2), "evaluation.json: schema: expected what"),
@@ -508,10 +495,7 @@ BROKEN = {
     ),
     "configuration is a list": (_replace("config.yaml", "[1]\n"), "config.yaml: expected sections of options"),
     "picture is none": (_replace("figures/rig.png", b"\x89PNG nothing"), "rig.png: expected an image, got"),
-    "evaluation is too deep": (
-        _replace("evaluation.json", "[" * 200_000),
-        "evaluation.json: expected at most 64 levels",
-    ),
+    "evaluation is too deep": (_replace("evaluation.json", "[" * 200_000), "evaluation.json: expected at most 64"),
     "no number of scenes": (_evaluation(scenes={}), "evaluation.json: scenes: expected what"),
     "group without recall": (
         _recall_by(lambda table: table["sector"]["rear left"].update(recall=None)),
@@ -522,10 +506,7 @@ BROKEN = {
         "recall_by must have the same groups for all arms",
     ),
     "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected an object, got"),
-    "further cameras are none": (
-        _replace("further_cameras.csv", "x\n1\n"),
-        "further_cameras.csv: expected rows of gain",
-    ),
+    "further cameras are none": (_replace("further_cameras.csv", "x\n1\n"), "cameras.csv: expected rows of gain"),
 }
 
 

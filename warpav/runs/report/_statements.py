@@ -82,28 +82,6 @@ def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
     return "good" if (high < 0.0) == lower_is_better else "bad"
 
 
-def warnings(evaluation: RigEvaluation) -> list[Statement]:
-    """What is wrong with the rig that was found: requirements not met, the own body in the way."""
-    found = list[Statement]()
-    for each in evaluation.met.get(evaluation.first, []):
-        if each.is_met:
-            continue
-        text = f"{each.name} at {percent(each.share)} of {each.points} points"
-        text += f", asked {percent(each.need.share, 0)}" if each.need.share not in (None, 1.0) else ""
-        if each.worst:
-            x, y = each.worst[0].position_m
-            text += f"; worst at x = {x:.1f} m, y = {y:.1f} m"
-        if each.gap:
-            text += f"; largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector}"
-        found.append(Statement("REQUIREMENT NOT MET", text, "bad"))
-    for name, arm in evaluation.arms.items():
-        share = arm.body_share_max or 0.0
-        if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
-            text = f"the vehicle's own body covers up to {share:.0%} of an image"
-            found.append(Statement(f"{name} detects nothing", text, "bad"))
-    return found
-
-
 def headline(run: RunContent) -> Statement:
     """The run in one sentence: what its rig misses at equal false alarms, and the one that it is compared with.
 
@@ -156,7 +134,24 @@ def cautions(run: RunContent) -> list[Statement]:
     evaluation = run.evaluation
     if evaluation is None:
         return []
-    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
+    found = list[Statement | None]()
+    for each in evaluation.met.get(evaluation.first, []):
+        if each.is_met:
+            continue
+        text = f"{each.name} at {percent(each.share)} of {each.points} points"
+        text += f", asked {percent(each.need.share, 0)}" if each.need.share not in (None, 1.0) else ""
+        if each.worst:
+            x, y = each.worst[0].position_m
+            text += f"; worst at x = {x:.1f} m, y = {y:.1f} m"
+        if each.gap:
+            text += f"; largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector}"
+        found.append(Statement("REQUIREMENT NOT MET", text, "bad"))
+    for name, arm in evaluation.arms.items():
+        share = arm.body_share_max or 0.0
+        if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
+            text = f"the vehicle's own body covers up to {share:.0%} of an image"
+            found.append(Statement(f"{name} detects nothing", text, "bad"))
+    found += [_broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
     found += [_told_apart(run, evaluation), _false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
     return [each for each in found if each is not None]
 
