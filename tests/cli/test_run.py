@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -166,16 +165,14 @@ def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsy
     training = evaluation["training_objective"]
     assert training["optimised"] > training["start"]
     assert evaluation["rig_of_run"] == "start"
-    assert "WORSE THAN ITS START" in captured.out
+    verdict = "WORSE THAN ITS START: the rig that was found has objective"
+    shown = captured.out.splitlines()
+    [first] = (k for k, line in enumerate(shown) if line.startswith(verdict))
+    assert shown[first + 1].startswith("2 unseen scenes")  # the verdict, then the table
+    assert (captured.out + captured.err).lower().count("worse than") == 1
     said, listed, _ = re.split(r"(?<=rig_best.yaml\)):\n|(?=\n!)", captured.out, maxsplit=2)
     assert said.endswith("The rig at the start, which is the rig of this run (rig_best.yaml)")
     assert [line.split()[0] for line in listed.splitlines()] == [each.name for each in folder.rig("initial").cameras]
-    assert captured.err.startswith("warning: WORSE THAN ITS START: the rig that was found has objective")
     best, start, last = ((folder.path / f"rig_{role}.yaml").read_bytes() for role in ("best", "initial", "final"))
     assert best == start != last
-    assert "Worse than its start, so the rig of this run is the start." in (folder.path / "report.html").read_text()
-    assert main(["rig", "export", "worse", "--format", "opencv", "--out", "from_run"]) == 0
-    assert main(["rig", "export", "worse/rig_initial.yaml", "--format", "opencv", "--out", "from_start"]) == 0
-    exported = [sorted(file for file in Path(name).rglob("*") if file.is_file()) for name in ("from_run", "from_start")]
-    assert exported[0]
-    assert [file.read_bytes() for file in exported[0]] == [file.read_bytes() for file in exported[1]]
+    assert (folder.path / "report.html").read_text().count(verdict) == 1

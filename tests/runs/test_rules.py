@@ -6,9 +6,10 @@ import math
 import pytest
 
 import warpav as wa
+from tests.runs.report.run_parts import evaluation, fill, folder_at
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig import PLAIN
+from warpav.rig import PLAIN, write_rig
 from warpav.runs import camera_mount, find_rig
 from warpav.runs._mounts import rig_limits
 from warpav.runs.config import Config, load_config
@@ -75,12 +76,28 @@ def test_rigs_by_hand_stand_on_any_vehicle_by_name(is_symmetric):
         assert each.position_m[1] * each.yaw_rad > 0.0
 
 
+SMALL = ["rules=default", "scenes.test_seeds=5000..5000", "camera.width_px=64", "camera.height_px=64"]
+
+
 def test_what_a_rig_breaks_is_said(capsys, tmp_path):
     file = tmp_path / "found.json"
-    small = ["scenes.test_seeds=5000..5000", "camera.width_px=64", "camera.height_px=64"]
-    assert main(["evaluate", "highest", "rules=default", *small, "--json", str(file)]) == 0
+    assert main(["evaluate", "highest", *SMALL, "--json", str(file)]) == 0
     said = capsys.readouterr().out
     assert "Rules: 2 of 6 broken: own body in the image 32%, front, at most 30% asked" in said
     found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["highest"]}
     assert not found["crossing"]["is_kept"]
     assert found["azimuth_gap"]["value"] <= 3.0
+
+
+def test_a_run_is_judged_by_the_rules_that_it_settled(tmp_path):
+    folder, file = folder_at(tmp_path / "run", *SMALL, "rig.cameras=4", "camera.fov_deg=90"), tmp_path / "found.json"
+    near = {"rule": "near_ground", "cameras": [], "value": 4.0, "limit": 4.0, "unit": "m", "is_kept": True}
+    gap = {**near, "rule": "azimuth_gap", "limit": 9.0, "asked": 3.0, "price": 0.02}
+    fill(folder, evaluation(rules={"optimised": [near, gap]}))
+    write_rig(find_rig("highest", folder.config(), wa.town([0])[0].ego), folder.rig_path("best"))
+    asked_anew = ["rules.azimuth_gap_deg=6"]
+    for overrides, told in (([], [4.0, 9.0, 3.0, 0.02]), (asked_anew, [4.0, 6.0, None, None])):
+        assert main(["evaluate", str(folder.path), *overrides, "--json", str(file)]) == 0
+        found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["optimised"]}
+        settled = [found["azimuth_gap"][name] for name in ("limit", "asked", "price")]
+        assert [found["near_ground"]["limit"], *settled] == pytest.approx(told)

@@ -16,7 +16,6 @@ from warpav.cli._arguments import (
     RigSource,
     SceneSource,
     Verbose,
-    complain,
     configured,
     executor_overrides,
     of_rig,
@@ -71,7 +70,7 @@ def optimise(
             f"{find_config(config).name}: {scenes.search_scene_count} scenes to search on, {len(scenes.test_seeds)} to "
             f"compare on, {settings.device}"
         )
-        from warpav.runs import optimise_rig, resume_rig, worse_than_start  # a second of imports, after the first line
+        from warpav.runs import optimise_rig, resume_rig  # a second of imports, after the first line
         from warpav.runs.report.tables import next_commands, show_everything, show_run
 
         gc.freeze()  # what was imported stays: collections need not look at it again
@@ -82,8 +81,6 @@ def optimise(
         (show_everything if verbose else show_run)(display.console, run)
         say(f"next: {' | '.join(next_commands(run, str(folder.path)))}")
         say(f"report: {folder.path / 'report.html'}")
-    for text in worse_than_start(run.evaluation) if run.evaluation else ():
-        complain(f"warning: WORSE THAN ITS START: {text}")
 
 
 def front(

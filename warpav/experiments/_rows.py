@@ -241,7 +241,7 @@ def _settings(rows: Sequence[_Row], *shown: str) -> Table:
         name = ", ".join(_PARTS.get(part, part) for part in study.split("_"))
         fewer = _difference(rows, study, OWN_JUDGE, _best_by_hand(arms))
         lines.append([name, *cells, fewer, missed.get("highest_raised", "")])
-    heads = ["best by hand", "random, our selection", "warpav", "fewer by warpav [95 %]", "by hand +25 cm"]
+    heads = ["best by hand", "random cameras, selected", "warpav", "fewer [95 %]", "by hand, 25 cm higher"]
     return Table.of(["traffic, cameras, mount", *heads], lines)
 
 

@@ -80,4 +80,3 @@ from warpav.runs._terminal import drawn as drawn
 from warpav.runs._vehicle import check_vehicle as check_vehicle
 from warpav.runs._vehicle import propose as propose
 from warpav.runs._vehicle import shipped_vehicles as shipped_vehicles
-from warpav.runs.report._statements import worse_than_start as worse_than_start

@@ -208,24 +208,30 @@ def check_rig(
 
 
 def rule_margins(
-    rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | None = None
+    rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | RigEvaluation | None = None
 ) -> dict[str, list[RuleMargin]] | None:
-    """How far rigs are from breaking the design rules of a placement, or those of a search.
+    """How far rigs are from breaking the design rules of a placement, as wide as a search or a run has settled them.
 
-    None where it keeps none.
+    None where it keeps none. The gap of a run counts where the placement asks for the same.
     """
     if not placement.config.keeps_rules:
         return None
-    limits = placement.config.rules.limits
-    if searched is None:
-        return {name: list(RuleCheck(rig, placement.ego, limits).margins) for name, rig in rigs.items()}
-    settled = searched.settled
-    is_wider = limits.azimuth_gap_rad is not None and limits.azimuth_gap_rad != settled.azimuth_gap_rad
-    asked_deg = math.degrees(limits.azimuth_gap_rad or 0.0) if is_wider else None
-    price = searched.price_of_gap if is_wider and math.isfinite(searched.price_of_gap) else None
+    settled, price = placement.config.rules.limits, math.inf
+    asked_deg = math.degrees(settled.azimuth_gap_rad or math.inf)
+    if isinstance(searched, PoolRules):
+        settled, price = searched.settled, searched.price_of_gap
+    elif searched is not None and searched.rules:
+        of_run = {each.rule: each for each in searched.rules.get(searched.first, ())}
+        gap, near = of_run.get("azimuth_gap"), of_run.get("near_ground")
+        settled = replace(settled, near_m=near and near.limit)
+        if gap is not None and gap.limit and gap.asked and math.isclose(gap.asked, asked_deg):
+            settled = replace(settled, azimuth_gap_rad=math.radians(gap.limit))
+            price = math.inf if gap.price is None else gap.price
+    is_wider = math.degrees(settled.azimuth_gap_rad or 0.0) > asked_deg + 1e-9
+    further = {"asked": asked_deg, "price": price if math.isfinite(price) else None} if is_wider else {}
     return {
         name: [
-            replace(each, asked=asked_deg, price=price) if each.rule == "azimuth_gap" else each
+            replace(each, **further) if each.rule == "azimuth_gap" else each
             for each in RuleCheck(rig, placement.ego, settled).margins
         ]
         for name, rig in rigs.items()

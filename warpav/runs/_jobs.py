@@ -25,7 +25,7 @@ from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipp
 from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import Config, flow_text, placed_config
-from warpav.runs.report._content import RunContent, read_content
+from warpav.runs.report._content import RunContent, read_content, read_evaluation
 from warpav.runs.robustness import load_states_of, soiling_of
 
 _CHECKPOINT_EVERY = 10
@@ -228,7 +228,8 @@ def measure_rig(
         raise ArgumentError(
             "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
         )
-    own_detector = RunFolder.open(source).environment().get("own_detector") if is_run_folder(source) else None
+    folder = RunFolder.open(source) if is_run_folder(source) else None
+    run, own_detector = (folder and read_evaluation(folder)), (folder and folder.environment().get("own_detector"))
     if own_detector and config.detector.model == "builtin":
         raise OptionError(
             "detector.model",
@@ -252,7 +253,7 @@ def measure_rig(
         pairing_rig[other] = placement.frozen_rig if is_ordered else RunFolder.open(names[other]).rig("initial")
     found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
     measured: dict[str, Any] = {"constraints": {name: placement.objective.constraints.margins(rig)}}
-    measured["rules"] = rule_margins(rigs, placement)
+    measured["rules"] = rule_margins(rigs, placement, run)
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
     if soiled is not None:
         measured["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress)

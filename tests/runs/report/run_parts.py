@@ -12,13 +12,8 @@ from warpav.runs.config import load_config
 ARMS = ("optimised", "start", "highest")
 SECTORS = ("front", "rear")
 BANDS = ("0-5", "5-10")
-OVERRIDES = [
-    "run.iterations=2",
-    "run.batch_size=1",
-    "scenes.test_seeds=[1007,1009]",
-    "rig.cameras=2",
-    "camera.fov_deg=80",
-]
+OVERRIDES = ["run.iterations=2", "run.batch_size=1", "scenes.test_seeds=[1007,1009]", "rig.cameras=2"]
+OVERRIDES += ["camera.fov_deg=80"]
 
 
 def folder_at(path, *overrides, events=3):

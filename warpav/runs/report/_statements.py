@@ -37,6 +37,7 @@ _BASELINES = {
     "highest": "the highest rig",
     "random": "the best random rig",
 }
+_WORSE = "WORSE THAN ITS START"
 _WORTH_NAMING_M, _WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
 
@@ -81,13 +82,59 @@ def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
     return "good" if (high < 0.0) == lower_is_better else "bad"
 
 
-def warnings(evaluation: RigEvaluation) -> list[Statement]:
-    """What is wrong with the rig that was found: worse than its start, requirements not met, the own body in the way.
+def headline(run: RunContent) -> Statement:
+    """The run in one sentence: what its rig misses at equal false alarms, and the one that it is compared with.
 
-    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or it misses
-    more on the test scenes, beyond the interval: these choose no rig, so it stays the rig of the run.
+    Before it, whether the rig is worse than its start. Where its objective is higher on the scenes of the search, the
+    rig of the run is the start. Where it only misses more on the test scenes, beyond the interval, it stays the rig of
+    the run, as these choose none.
     """
-    found = [Statement("WORSE THAN ITS START", text, "bad") for text in worse_than_start(evaluation)]
+    evaluation = run.evaluation
+    if evaluation is None:
+        return Statement("", f"Stopped after {_counted(len(run.events), 'iteration')}, before any rig was compared.")
+    missed, objects = evaluation.misses, objects_name(run)
+    first, other, training = evaluation.first, compared_with(evaluation), evaluation.training_objective
+    about = worse = ""
+    if training is not None and evaluation.is_worse_than_start:
+        end = "no number" if training.optimised is None else f"{training.optimised:.4g}"
+        about, worse = _WORSE, f"the rig that was found has objective {end}, its start {training.start:.4g}; "
+        worse += "the rig of the run, rig_best.yaml, is the start. "
+    if missed[first] is None:
+        text = f"{worse}No {objects_name(run, 1)} in {_counted(evaluation.scene_count, 'test scene')}."
+        return Statement(about, text, "bad")
+    unseen = "scene" if training is None else "unseen scene"
+    rate = 0.5 if run.config is None else run.config.evaluation.false_alarms_per_image
+    text = (
+        f"{worse}In {_counted(evaluation.scene_count, unseen)} {_arm(first)} misses {number(missed[first], 1)} of 100 "
+        f"{objects} at {rate:g} false alarms an image"
+    )
+    tone: _Tone = "open"
+    found = None if other is None else evaluation.paired.get(other, {}).get("misses_at_equal_false_alarms")
+    if other is not None and found is not None and found.mean is not None:
+        tone = tone_of(found, lower_is_better=True)
+        text += f", {_arm(other)} {number(missed[other], 1)}: {gain(found, 'misses_at_equal_false_alarms')} fewer"
+        if found.low is None or found.scenes < _MIN_SCENES:
+            text += f"; {_counted(found.scenes, 'scene')} cannot tell them apart"
+        else:
+            text += f"; the 95{SPACE}% interval {'includes' if tone == 'open' else 'excludes'} 0"
+        if tone == "bad" and training is not None and other == evaluation.start:
+            about = _WORSE
+    return Statement(about, f"{text}.", "bad" if worse else tone)
+
+
+def compared_with(evaluation: RigEvaluation) -> str | None:
+    """The rig that the first is compared with before all others: the start, else the second."""
+    if evaluation.start in evaluation.arms and evaluation.start != evaluation.first:
+        return evaluation.start
+    return next((name for name in evaluation.arms if name != evaluation.first), None)
+
+
+def cautions(run: RunContent) -> list[Statement]:
+    """What a reader should know before he builds on the rig, the gravest first."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return []
+    found = list[Statement | None]()
     for each in evaluation.met.get(evaluation.first, []):
         if each.is_met:
             continue
@@ -104,76 +151,20 @@ def warnings(evaluation: RigEvaluation) -> list[Statement]:
         if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
             text = f"the vehicle's own body covers up to {share:.0%} of an image"
             found.append(Statement(f"{name} detects nothing", text, "bad"))
-    return found
-
-
-def worse_than_start(evaluation: RigEvaluation) -> list[str]:
-    """In what the rig that a run has found is worse than its start, a sentence each."""
-    found = []
-    training = evaluation.training_objective
-    if training is not None and evaluation.is_worse_than_start:
-        end = "no number" if training.optimised is None else f"{training.optimised:.4g}"
-        text = f"the rig that was found has objective {end}, its start {training.start:.4g}"
-        found.append(f"{text}; the rig of the run, rig_best.yaml, is the start")
-    missed = evaluation.paired.get(evaluation.start, {}).get("misses_at_equal_false_alarms")
-    if missed is not None and tone_of(missed, lower_is_better=True) == "bad" and evaluation.start in evaluation.arms:
-        before, after = (number(evaluation.misses[name], 1) for name in (evaluation.start, evaluation.first))
-        found.append(f"of 100 road users of the test scenes it misses {after}, {_arm(evaluation.start)} {before}")
-    return found
-
-
-def headline(run: RunContent) -> Statement:
-    """The run in one sentence: what its rig misses at equal false alarms, and the one that it is compared with."""
-    evaluation = run.evaluation
-    if evaluation is None:
-        return Statement("", f"Stopped after {_counted(len(run.events), 'iteration')}, before any rig was compared.")
-    missed, objects = evaluation.misses, objects_name(run)
-    first, other = evaluation.first, compared_with(evaluation)
-    if missed[first] is None:
-        return Statement("", f"No {objects_name(run, 1)} in {_counted(evaluation.scene_count, 'test scene')}.", "bad")
-    unseen = "unseen scene" if evaluation.training_objective is not None else "scene"
-    rate = 0.5 if run.config is None else run.config.evaluation.false_alarms_per_image
-    text = (
-        f"In {_counted(evaluation.scene_count, unseen)} {_arm(first)} misses {number(missed[first], 1)} of 100 "
-        f"{objects} at {rate:g} false alarms an image"
-    )
-    tone: _Tone = "open"
-    found = None if other is None else evaluation.paired.get(other, {}).get("misses_at_equal_false_alarms")
-    if other is not None and found is not None and found.mean is not None:
-        tone = tone_of(found, lower_is_better=True)
-        text += f", {_arm(other)} {number(missed[other], 1)}: {gain(found, 'misses_at_equal_false_alarms')} fewer"
-        if found.low is None or found.scenes < _MIN_SCENES:
-            text += f"; {_counted(found.scenes, 'scene')} cannot tell them apart"
-        else:
-            text += f"; the 95{SPACE}% interval {'includes' if tone == 'open' else 'excludes'} 0"
-    if evaluation.is_worse_than_start:
-        return Statement("", f"Worse than its start, so the rig of this run is the start. {text}.", "bad")
-    return Statement("", f"{text}.", tone)
-
-
-def compared_with(evaluation: RigEvaluation) -> str | None:
-    """The rig that the first is compared with before all others: the start, else the second."""
-    if evaluation.start in evaluation.arms and evaluation.start != evaluation.first:
-        return evaluation.start
-    return next((name for name in evaluation.arms if name != evaluation.first), None)
-
-
-def cautions(run: RunContent) -> list[Statement]:
-    """What a reader should know before he builds on the rig, the gravest first."""
-    evaluation = run.evaluation
-    if evaluation is None:
-        return []
-    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
+    found += [_broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
     found += [_told_apart(run, evaluation), _false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
     return [each for each in found if each is not None]
 
 
 def _worse(evaluation: RigEvaluation) -> Statement | None:
-    """In what the first rig is worse than others, where the interval excludes 0, or which ground is."""
+    """In what the first rig is worse than others, where the interval excludes 0, or which ground is.
+
+    `headline` says whether it misses more than the one that it is compared with.
+    """
     other, first, parts = compared_with(evaluation), evaluation.first, []
     for name, differences in evaluation.paired.items():
         for metric, (heading, factor, digits) in evaluation.rows.items():
-            found = differences.get(metric) if name == other or metric == "misses_at_equal_false_alarms" else None
+            found = differences.get(metric) if (name == other) != (metric == "misses_at_equal_false_alarms") else None
             if found is not None and tone_of(found, lower_is_better=metric in LOWER_IS_BETTER) == "bad":
                 after, before = (getattr(evaluation.arms[each], metric) * factor for each in (first, name))
                 parts.append(f"{heading} {number(after, digits)} ({heading_of(name)} {number(before, digits)})")

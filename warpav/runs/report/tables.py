@@ -33,12 +33,12 @@ _MOST_CAMERAS, _MOST_CAUTIONS, _MOST_ARMS = 6, 2, 4
 
 
 def show_run(console: Terminal, run: RunContent) -> None:
-    """Print what a run, or a comparison of rigs, has come to: a table, a sentence, the rig, and what to know of it."""
+    """Print what a run, or a comparison of rigs, has come to: a sentence, a table, the rig, and what to know of it."""
     evaluation = run.evaluation
     assert evaluation is not None
+    _show(console, headline(run))
     for line in str(_compared(run)).splitlines():
         console.print(shown(line))
-    _show(console, headline(run))
     (name, rig), _ = rigs_of_run(run)
     if rig is not None:
         if rig is not run.result:
@@ -97,6 +97,7 @@ def show_everything(console: Terminal, run: RunContent) -> None:
     """Print every table and every statement of a run, or of a comparison of rigs."""
     evaluation = run.evaluation
     assert evaluation is not None
+    _show(console, headline(run))
     _print_arms(console, evaluation.metric_table(), 1)
     for table, fixed in ((evaluation.group_table(), 2), (evaluation.requirement_table(), 1)):
         if table is not None:
@@ -106,7 +107,7 @@ def show_everything(console: Terminal, run: RunContent) -> None:
     for table in (outages and outages.table(heading_of(evaluation.first)), *robustness):
         if table is not None:
             console.print(drawn(table, has_frame=True))
-    for statement in (headline(run), *summary(run), *cautions(run)):
+    for statement in (*summary(run), *cautions(run)):
         _show(console, statement)
 
 
