@@ -1,7 +1,8 @@
 """Training of the shipped detector, on a scale that fits a test; collected where PyTorch is installed."""
 
-import dataclasses
 import math
+import os
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -112,7 +113,7 @@ def test_boxes_move_with_the_pixels(flipped, zoom, shift):
 def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
     torch_data = DeviceData.load([_labelled_images(rng, 1), _labelled_images(rng, 3)], torch.device("cpu"))
     assert torch_data.images_rgb.shape == (4, SIDE_PX, SIDE_PX, 3)
-    training = Training(torch.device("cpu"), step_count=16, learning_rate=4e-3)
+    training = Training(torch.device("cpu"), step_count=16)
     losses = [float(sum(training.train_step(torch_data, 4))) for _ in range(10)]
     assert np.mean(losses[-3:]) < 0.95 * np.mean(losses[:3])
     training.save(tmp_path / "checkpoint.pt")
@@ -276,16 +277,23 @@ def test_people_are_cut_out_of_reconstructed_scenes():
 
 
 @pytest.mark.slow
-def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
+def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch, caplog):
     few = {256: 2, 384: 1, 640: 1, 1280: 1}
     monkeypatch.setattr(train_module, "TRAIN_SUBSETS", {
         "train": data.Subset("dense", 1_000_000, 2, few),
         "train_recorded": data.Subset("search recordings", 1_000_100, 1, few),
     })  # fmt: skip
     options, folder = TrainingOptions(processes=1, steps=3, batch_size=2), tmp_path / "images"
-    stopped = dataclasses.replace(options, stop_after_minutes=0.0)
-    assert train_detector(tmp_path, stopped, image_folder=folder) is None
-    file = train_detector(tmp_path, options, image_folder=folder)
+    take_step = Training.train_step
+    with monkeypatch.context() as stopped:
+        stopped.setattr(Training, "train_step", lambda self, *given: (
+            take_step(self, *given) if self.step < 2 else os.kill(os.getpid(), signal.SIGINT)
+        ))  # fmt: skip
+        with pytest.raises(KeyboardInterrupt):
+            train_detector(tmp_path, options, image_folder=folder)
+    with caplog.at_level("INFO"):
+        file = train_detector(tmp_path, options, image_folder=folder)
+    assert "going on from step 2 of 3" in caplog.text
     assert OnnxDetector(file).names == CLASS_NAMES
     monkeypatch.setitem(train_module.TRAIN_SUBSETS, "train", data.Subset("dense", 1_000_001, 2, few))
     with pytest.raises(InputError, match="expected images of 2 scenes from seed 1000001 on"):

@@ -124,10 +124,9 @@ def _detector_train(
     image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
     device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
     processes: Annotated[int, Parameter(help="Processes that render the images.")] = 2,
-    steps: Annotated[int, Parameter(help="Length of the training.")] = 24_000,
+    steps: Annotated[int, Parameter(help="Length of the training.")] = 13_632,
     batch_size: Annotated[int, Parameter(help="Images of 256 px a step.")] = 192,
     seed: Annotated[int, Parameter(help="Of the weights and of the batches.")] = 0,
-    stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command continues.")] = float("inf"),
     recordings: Annotated[
         tuple[Path, ...], Parameter(help="Recorded traffic of your own, besides what ships.", negative=())
     ] = (),
@@ -136,5 +135,4 @@ def _detector_train(
     from warpav.runs import train_detector
 
     options = {"device": device, "processes": processes, "steps": steps, "batch_size": batch_size, "seed": seed}
-    options |= {"stop_after_minutes": stop_after_minutes, "recordings": recordings}
-    train_detector(out, image_folder=image_folder, say=say, **options)
+    train_detector(out, image_folder=image_folder, say=say, recordings=recordings, **options)

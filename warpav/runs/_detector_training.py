@@ -59,8 +59,6 @@ def train_detector(out: Path, *, image_folder: Path | None, say: Callable[[str],
     ):
         if value < minimum:
             raise InputError(f"command line (--{option}): expected at least {minimum}, got {value}")
-    if not options.stop_after_minutes > 0.0:
-        raise ArgumentError("stop_after_minutes", f"expected more than 0, got {options.stop_after_minutes:g}")
     import torch  # pyright: ignore[reportMissingImports]
 
     from warpav.detection import train_detector as train
@@ -70,9 +68,8 @@ def train_detector(out: Path, *, image_folder: Path | None, say: Callable[[str],
         raise ArgumentError(
             "device", f"expected one of {', '.join(devices)}, which PyTorch finds, got {options.device!r}"
         )
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    file = train(out, options, image_folder=_made_folders(out, image_folder))
-    say(f"wrote {file}" if file else f"stopped before the end; the same command continues from {out / 'checkpoint.pt'}")
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    say(f"wrote {train(out, options, image_folder=_made_folders(out, image_folder))}")
 
 
 def measure_detector(

@@ -1,6 +1,5 @@
 """Training of the built-in detector; needs PyTorch (extra ``train``)."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +13,7 @@ class TrainingOptions:
 
     device: str = "cpu"  # of PyTorch
     processes: int = 2  # that render
-    steps: int = 24_000  # length of the schedule
+    steps: int = 13_632  # length of the schedule
     batch_size: int = 192  # images of 256 px a step; of larger ones as many as have the same number of pixels
     seed: int = 0  # of the weights and of the batches
-    stop_after_minutes: float = math.inf  # stop before the schedule's end
     recordings: tuple[Path, ...] = ()  # recorded traffic of one's own, besides what ships with warpav

@@ -62,7 +62,6 @@ TRAIN_SUBSETS = {
     "train_dense": Subset("dense", 1_200_000, 800, _TRAIN_VIEWS),
     "train_motorway": Subset("motorway", 1_300_000, 400, _TRAIN_VIEWS),
     "train_recorded": Subset("search recordings", 1_400_000, 1_600, _TRAIN_VIEWS),
-    "train_reconstructed": Subset("reconstructed", 1_500_000, 45, {256: 50, 384: 20, 640: 15, 1280: 5}),
 }
 """Scenes of the training, by the name of their folder; none is a scene of a test."""
 

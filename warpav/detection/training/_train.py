@@ -90,9 +90,7 @@ class DeviceData:
 class Training:
     """A training run: the network, its running average, the optimiser and the schedule."""
 
-    def __init__(
-        self, device: torch.device, *, step_count: int, seed: int = 0, learning_rate: float = _LEARNING_RATE
-    ) -> None:
+    def __init__(self, device: torch.device, *, step_count: int, seed: int = 0) -> None:
         torch.manual_seed(seed)
         self.device = device
         self.network = TownNetwork().to(device)
@@ -101,11 +99,10 @@ class Training:
         average, current = self.average.state_dict(), self.network.state_dict()
         floating = [name for name, value in current.items() if value.is_floating_point()]
         self._averages, self._currents = [average[name] for name in floating], [current[name] for name in floating]
-        self.learning_rate = learning_rate
         # weights of convolutions decay, biases and normalisation do not
         weights, others = ([v for v in self.network.parameters() if (v.ndim > 1) == wide] for wide in (True, False))
         groups = [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
-        self.optimiser = torch.optim.AdamW(groups, lr=learning_rate, fused=device.type == "cuda")
+        self.optimiser = torch.optim.AdamW(groups, lr=_LEARNING_RATE, fused=device.type == "cuda")
         self.random = np.random.default_rng(seed)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.step = 0
@@ -142,12 +139,12 @@ class Training:
         torch.save(state, partial)
         partial.replace(path)
 
-    def train_step(self, data: DeviceData, batch_size: int) -> tuple[Tensor, Tensor]:
+    def train_step(self, data: DeviceData, batch_size: int) -> Tensor:
         warm_up = min(1.0, (self.step + 1) / min(_WARM_UP_STEPS, max(1, self.step_count // 10)))
         cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.step / max(1, self.step_count))))
         for group in self.optimiser.param_groups:
-            group["lr"] = self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
-        # Drawn on the device: a copy would wait for all that the device has yet to do.
+            group["lr"] = _LEARNING_RATE * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
+        # drawn on the device, since a copy would wait for all that it has yet to do
         index = torch.multinomial(data.frequency, batch_size, replacement=True, generator=self.generator)
         share = self.step / max(1, self.step_count)
         variety = float(np.interp(share, (_FULL_VARIETY_UNTIL, 1.0), (1.0, _LAST_VARIETY)))
@@ -162,46 +159,39 @@ class Training:
         nn.utils.clip_grad_norm_(self.network.parameters(), _GRADIENT_NORM_MAX)
         self.optimiser.step()
         self.step += 1
-        # the first steps are forgotten sooner
-        decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
+        decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))  # the first steps are forgotten sooner
         with torch.no_grad():  # PyTorch documents the function, but its stub lacks it
             torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
-        return score_loss.detach(), box_loss.detach()
+        return torch.stack((score_loss, box_loss)).detach()
 
 
-def train(training: Training, data: dict[int, DeviceData], options: TrainingOptions, checkpoint: Path) -> None:
-    """Train on images by their side [px] until the schedule ends or the time is up, and save."""
-    start_s = saved_s = time.perf_counter()
+def train(training: Training, data: dict[int, DeviceData], batch_size: int, checkpoint: Path) -> None:
+    """Train on images by their side [px] until the schedule ends; saved now and then, and when interrupted."""
+    saved_s = time.perf_counter()
     sides_px = list(data)
     probability = np.array([_SIZE_PROBABILITY[side_px] for side_px in sides_px])
-    total = torch.zeros(2, device=training.device)
-    first_step = training.step
-    while training.step < training.step_count:
-        side_px = int(training.random.choice(sides_px, p=probability / probability.sum()))
-        losses = training.train_step(data[side_px], max(1, round(options.batch_size * (256 / side_px) ** 2)))
-        total += torch.stack(losses)
-        now_s = time.perf_counter()
-        if training.step % _LOG_STEPS == 0:
-            score_loss, box_loss = (total / min(_LOG_STEPS, training.step - first_step)).tolist()
-            total.zero_()
-            _logger.info(
-                "step %d of %d: score loss %.3f, box loss %.3f, %.0f s",
-                training.step, training.step_count, score_loss, box_loss, now_s - start_s,
-            )  # fmt: skip
-            if not math.isfinite(score_loss + box_loss):
-                raise RuntimeError(f"the loss is not finite at step {training.step}; the last checkpoint is whole")
-        if now_s - saved_s > _CHECKPOINT_S:
-            training.save(checkpoint)
-            saved_s = now_s
-        if now_s - start_s > 60.0 * options.stop_after_minutes:
-            break
+    losses: list[Tensor] = []
+    try:
+        while training.step < training.step_count:
+            side_px = int(training.random.choice(sides_px, p=probability / probability.sum()))
+            batch = max(1, round(batch_size * (256 / side_px) ** 2))
+            losses.append(training.train_step(data[side_px], batch))
+            if training.step % _LOG_STEPS == 0:
+                loss = torch.stack(losses).mean(dim=0).tolist()
+                losses.clear()
+                _logger.info("step %d of %d: score loss %.3f, box loss %.3f", training.step, training.step_count, *loss)
+                if not math.isfinite(sum(loss)):
+                    raise RuntimeError(f"the loss is not finite at step {training.step}; the last checkpoint is whole")
+            if time.perf_counter() - saved_s > _CHECKPOINT_S:
+                training.save(checkpoint)
+                saved_s = time.perf_counter()
+    except KeyboardInterrupt:
+        training.save(checkpoint)
+        raise
     training.save(checkpoint)
-    _logger.info(
-        "stopped at step %d of %d after %.0f s", training.step, training.step_count, time.perf_counter() - start_s
-    )
 
 
-def train_detector(folder: Path, options: TrainingOptions, *, image_folder: Path) -> Path | None:
+def train_detector(folder: Path, options: TrainingOptions, *, image_folder: Path) -> Path:
     """Render the images, train, and write the network as ``detector.onnx``; resumes from existing results."""
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")
@@ -214,16 +204,12 @@ def train_detector(folder: Path, options: TrainingOptions, *, image_folder: Path
     for name, subset in subsets.items():
         write_images(subset, image_folder / name, processes=options.processes, device=options.device)
     if training.step < training.step_count:
-        start_s = time.perf_counter()
         loaded = [load_images(image_folder / name) for name in subsets]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
             for side_px in _SIZE_PROBABILITY
         }
-        _logger.info("read the images in %.0f s", time.perf_counter() - start_s)
-        train(training, data, options, checkpoint)
-    if training.step < training.step_count:
-        return None
+        train(training, data, options.batch_size, checkpoint)
     file = folder / "detector.onnx"
     export_network(training.average, file)
     return file

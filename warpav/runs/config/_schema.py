@@ -507,7 +507,7 @@ class DetectorConfig(Section):
     """The object detector, and when its boxes count."""
 
     model: DetectorModel = Field(default="builtin", description="builtin or the path of an ONNX file")
-    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="minimum confidence of a detection")
+    confidence_min: float = Field(default=0.4, ge=0.0, lt=1.0, description="minimum confidence of a detection")
     iou_min: float = Field(
         default=0.5, gt=0.0, lt=1.0, description="minimum overlap with the true box for a true positive"
     )
