@@ -56,7 +56,7 @@ from warpav.runs._progress import shown_progress
 from warpav.runs._scene_set import places_of
 from warpav.runs._terminal import drawn
 from warpav.runs.config import Config
-from warpav.scene import recordings_of
+from warpav.scene import LEVELS, recordings_of
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 _TOWN_SEEDS = tuple(range(500_000, 500_050))
 _TOWN_HELD_OUT = tuple(range(500_050, 500_080))
-_NOT_FITTED = ("level", "vehicles", "vehicles_share")  # what curves know nothing of
+_NOT_FITTED = ("level", "vehicles", "vehicles_share")  # what curves know nothing of, so embedded scenes of all levels
 _MIN_FIT_SCENES = 20
 """Training scenes of the user's own with which a model can be fitted and evaluated."""
 
@@ -327,6 +327,8 @@ def fit(
     else:
         sources = [Source.of_camera(camera or camera_model(config))]
     usual = config.replace({f"scenes.{name}": None for name in _NOT_FITTED})
+    if config.scenes.source == "town":
+        usual = usual.replace({"scenes.level": list(LEVELS)})
     with shown_progress(progress) as shown:
         samples = sample_scenes(usual, (*seeds, *unseen_seeds), detector, ego, sources, shown, use=use)
         shown.stage("fitting")

@@ -169,10 +169,15 @@ class Networks:
     differentiable: DifferentiableDetector | None  # the same network, differentiable; None where no loss needs it
 
 
+# From here on detections are kept, so that rigs can be compared at equal false alarms below their own threshold too.
+_REPORTED_CONFIDENCE = 0.25
+
+
 def load_networks(config: Config) -> Networks:
     """Load the detector, differentiable as well where the losses of the configuration need it."""
     device = checked_device(config.device)
-    detector = load_detector(config)
+    least = min(config.detector.confidence_min, _REPORTED_CONFIDENCE)
+    detector = load_detector(config.replace({"detector.confidence_min": least}))
     differentiable = None
     if config.losses.weights["detector_gradient"] > 0.0:
         try:

@@ -219,20 +219,22 @@ class RigObservation:
     Attributes:
         detection_probability: That each camera of the rig detects each object, by the model of detection probability,
             float [camera, object]; None where no model is known for these cameras.
+        confidence_min: Least confidence of a detection that is shown and matched; the others tell false alarms.
     """
 
     observations: list[Observation]
     in_frame: np.ndarray
     camera: list[int]
     detection_probability: np.ndarray | None = None
+    confidence_min: float = 0.0
 
     @property
     def cameras(self) -> list[CameraObservation]:
         """Ground truth and detections of every camera, in the order of the rig."""
         of_camera = [
-            CameraObservation(image, truth, detections, match)
+            CameraObservation(image, truth, found.only(found.confidence >= self.confidence_min), match)
             for seen in self.observations
-            for image, truth, detections, match in zip(
+            for image, truth, found, match in zip(
                 seen.image_rgb, seen.truth_box_px, seen.detections, seen.match, strict=True
             )
         ]
@@ -340,7 +342,8 @@ class RigObserver:
                 found.append(_detection_probability(known, frame, scene, views, measures))
         is_known = len(found) == len(self._groups)
         probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
-        return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
+        in_frame = _is_in_frame(np.concatenate(area_px))
+        return RigObservation(observations, in_frame, self._camera, probability, self._options.confidence_min)
 
 
 def _detection_probability(
@@ -383,7 +386,11 @@ class SceneObservations:
     def at(self, confidence_min: float, iou_min: float) -> SceneObservations:
         """The same by a detector that drops what is less confident."""
         observations = [
-            replace(each, observations=[seen.at(confidence_min, iou_min) for seen in each.observations])
+            replace(
+                each,
+                observations=[seen.at(confidence_min, iou_min) for seen in each.observations],
+                confidence_min=confidence_min,
+            )
             for each in self.observations
         ]
         return replace(self, observations=observations)
@@ -590,12 +597,10 @@ class _Boxes:
         return _mean(whole[:, 0, 0]), {name: _mean(mean[:, k]) for k, name in enumerate(COCO_AREA_PX2)}
 
     def confidence_at(self, false_alarms_per_frame: float) -> float:
-        """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
-        images = self.false_alarms.size
-        # the lowest that leaves at most so many false alarms per image
-        allowed = math.floor(false_alarms_per_frame * images + 1e-9)
+        """The lowest confidence that leaves at most so many false alarms an image; 0 where all that is reported does."""
+        allowed = math.floor(false_alarms_per_frame * self.false_alarms.size + 1e-9)
         if len(self._alarm_confidence) <= allowed:
-            return self._confidence_min
+            return 0.0
         return float(np.nextafter(self._alarm_confidence[allowed], math.inf))
 
     def log_average_miss_rate(self, up_to: np.ndarray) -> float | None:

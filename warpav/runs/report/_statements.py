@@ -215,13 +215,12 @@ def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 def _false_alarms(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """Rigs whose detector never raises as many false alarms as rigs are compared at."""
     rate = None if run.config is None else run.config.evaluation.false_alarms_per_image
-    own = {name: arm.false_alarms_per_frame for name, arm in evaluation.arms.items()}
-    fewer = [name for name, each in own.items() if rate is not None and each is not None and each < rate]
-    if not fewer:
+    fewer = [name for name, arm in evaluation.arms.items() if arm.confidence_at_equal_false_alarms == 0.0]
+    if rate is None or not fewer:
         return None
     text = (
-        f"{_listed(map(_arm, fewer))} {'has' if len(fewer) == 1 else 'have'} fewer than {rate:g} an image at all, and "
-        "is judged at the detector's own threshold."
+        f"{_listed(map(_arm, fewer))} {'has' if len(fewer) == 1 else 'have'} at most {rate:g} an image at any threshold, "
+        "and is judged by all that the detector reports."
     )
     return Statement("False alarms", text)
 
