@@ -155,9 +155,9 @@ def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsy
 
 
 def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsys):
-    # steps of 2 m, and the last iterate counts
-    steps = ["optimiser.search=descent", "optimiser.learning_rate_position_m=2", "optimiser.keep=last"]
-    steps += ["optimiser.starts=1", "rig.start=highest", "rig.free.pitch_deg=null"]
+    # steps of 4 m, and the last iterate counts
+    steps = ["optimiser.search=descent", "optimiser.learning_rate_position_m=4", "optimiser.keep=last"]
+    steps += ["optimiser.starts=1", "rig.start=corners", "rig.free.pitch_deg=null"]
     assert main(["optimise", *SMALL, *steps, "run.iterations=4", "run.out=worse"]) == 0
     captured = capsys.readouterr()
     folder = RunFolder.open("worse")

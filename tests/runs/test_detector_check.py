@@ -59,7 +59,7 @@ def test_boxes_are_listed_and_drawn(folder, capsys):
     assert "input       images [1, 3, 64, 64] float32" in text
     assert "pedestrian  pedestrian" in text
     assert "cyclist     no label; detector.classes.cyclist can name some" in text
-    assert "2 detections of confidence 0.25 and more" in text
+    assert "2 detections of confidence 0.4 and more" in text
     assert "  0.40     40.0    20.0    60.0    34.0  pedestrian (pedestrian)" in text
     assert "wrote picture_boxes.png" in text
     drawn = cv2.imread(str(folder / "picture_boxes.png")).astype(int)

@@ -62,7 +62,7 @@ def test_recorded_traffic_is_a_source_like_others(tmp_path):
     ("words", "message"),
     [
         (["--scenes", "500000..500001"], "(--scenes): expected scenes that builtin was not fitted on, got 2 of them"),
-        (["--scenes", "5000", "camera.width_px=32", "camera.height_px=32"], "builtin: --scenes: expected at least"),
+        (["--scenes", "5000", "camera.width_px=16", "camera.height_px=16"], "builtin: --scenes: expected at least"),
         (["--panel", "gone"], "gone: expected a folder of ONNX files, got none"),
         (["--panel", ".", "detector.model=a.onnx"], "(detector.model=a.onnx): expected an option that all networks"),
         (["--panel", "."], "expected ONNX files such as yolox_nano_coco.onnx, got none"),

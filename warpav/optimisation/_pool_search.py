@@ -53,8 +53,9 @@ _POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
 _PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
-_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (16, 1.0), (10, 0.4), (6, 0.2)
+_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (10, 1.0), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
+_BEHIND_MAX = 0.01  # how far behind the best a polish may be, relatively, after half of its steps
 _GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
 _REPLACEMENTS, _REPLACEMENT_POLISH, _VAIN_REPLACEMENTS = 4, (12, 0.4), 2
@@ -493,16 +494,13 @@ class PoolSearch:
         """Whether a rig is better than the best so far, which it then is; not if it breaks a hard requirement."""
         if self.points is not None:
             if probability is None:
-                row = rows_of(rig, self.pool.mount_pose)
-                probability = self.pool.detection_probability[row]
+                probability = self.pool.detection_probability[rows_of(rig, self.pool.mount_pose)]
             if not self._meets_requirements(probability):
                 return False
-        if self.rules is not None and not self._keeps_rules(rig):
+        if not self._keeps_rules(rig) or objective >= self.objective - (_SAME if self.rig is not None else 0.0):
             return False
-        if objective < self.objective - (_SAME if self.rig is not None else 0.0):
-            self.rig, self.objective = rig, objective
-            return True
-        return False
+        self.rig, self.objective = rig, objective
+        return True
 
     def _keeps_rules(self, rig: np.ndarray) -> bool:
         return self.rules is None or self.rules.keeps(rig, frozen=self.assembly.is_held(len(rig)))
@@ -600,8 +598,8 @@ class PoolSearch:
         if is_first:
             cameras = len(self.pool.mount_pose)
             rigs += [self.assembly.rig(self.pool.mount_pose[rig[rig < cameras]]) for rig in self._others]
-        radii = (radius, _FURTHER_POLISH[1]) if is_first else (radius,)  # neither is better everywhere
-        polishes = [("polish", rig.tolist(), step_count, each) for rig in rigs for each in radii]
+        ways = ((step_count, radius), *(_FURTHER_POLISH,) * is_first)  # of two radii neither is better everywhere
+        polishes = [("polish", rig.tolist(), *way) for rig in rigs for way in ways]
         self._todo = [*polishes, *(stage for stage in self._todo if stage not in polishes)]
 
     def _polish(self, rig: list[list[float]], step_count: int, radius: float) -> Iterator[Found]:
@@ -619,10 +617,12 @@ class PoolSearch:
         )
         steps = PolishSteps(step_count, radius, camera_renders_max=self._left)
         is_better = True
-        for step in polish(np.array(rig, np.float32), self._detect, task, steps):
+        for taken, step in enumerate(polish(np.array(rig, np.float32), self._detect, task, steps)):
             is_better = self._is_better(step.mount_pose, step.objective)
             if is_better:
                 yield self._found("polish")
+            elif 2 * taken >= step_count and step.objective > self.objective * (1.0 + _BEHIND_MAX):
+                break
         if not is_better:  # what the last steps have cost is the polish's too
             yield self._found("polish")
 

@@ -67,7 +67,6 @@ if TYPE_CHECKING:
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 _TOWN_SEEDS = tuple(range(500_000, 500_050))
 _TOWN_HELD_OUT = tuple(range(500_050, 500_080))
-_NOT_FITTED = ("level", "vehicles", "vehicles_share")  # what curves know nothing of, so embedded scenes of all levels
 _MIN_FIT_SCENES = 20
 """Training scenes of the user's own with which a model can be fitted and evaluated."""
 
@@ -326,9 +325,8 @@ def fit(
         sources = [Source.through(window, used, config, k) for k, window in enumerate(windows_of(used))]
     else:
         sources = [Source.of_camera(camera or camera_model(config))]
-    usual = config.replace({f"scenes.{name}": None for name in _NOT_FITTED})
-    if config.scenes.source == "town":
-        usual = usual.replace({"scenes.level": list(LEVELS)})
+    levels = list(LEVELS) if config.scenes.source == "town" else None  # curves know nothing of level and fleet
+    usual = config.replace({"scenes.level": levels, "scenes.vehicles": None, "scenes.vehicles_share": None})
     with shown_progress(progress) as shown:
         samples = sample_scenes(usual, (*seeds, *unseen_seeds), detector, ego, sources, shown, use=use)
         shown.stage("fitting")

@@ -219,14 +219,13 @@ class RigObservation:
     Attributes:
         detection_probability: That each camera of the rig detects each object, by the model of detection probability,
             float [camera, object]; None where no model is known for these cameras.
-        confidence_min: Least confidence of a detection that is shown and matched; the others tell false alarms.
     """
 
     observations: list[Observation]
     in_frame: np.ndarray
     camera: list[int]
     detection_probability: np.ndarray | None = None
-    confidence_min: float = 0.0
+    confidence_min: float = 0.0  # of a detection that is shown and matched; lower ones tell false alarms
 
     @property
     def cameras(self) -> list[CameraObservation]:
@@ -385,14 +384,9 @@ class SceneObservations:
 
     def at(self, confidence_min: float, iou_min: float) -> SceneObservations:
         """The same by a detector that drops what is less confident."""
-        observations = [
-            replace(
-                each,
-                observations=[seen.at(confidence_min, iou_min) for seen in each.observations],
-                confidence_min=confidence_min,
-            )
-            for each in self.observations
-        ]
+        kept = [[seen.at(confidence_min, iou_min) for seen in each.observations] for each in self.observations]
+        pairs = zip(self.observations, kept, strict=True)
+        observations = [replace(each, observations=of_it, confidence_min=confidence_min) for each, of_it in pairs]
         return replace(self, observations=observations)
 
 
@@ -597,7 +591,7 @@ class _Boxes:
         return _mean(whole[:, 0, 0]), {name: _mean(mean[:, k]) for k, name in enumerate(COCO_AREA_PX2)}
 
     def confidence_at(self, false_alarms_per_frame: float) -> float:
-        """The lowest confidence that leaves at most so many false alarms an image; 0 where all that is reported does."""
+        """The lowest confidence that leaves at most so many false alarms an image; 0 where no more are reported."""
         allowed = math.floor(false_alarms_per_frame * self.false_alarms.size + 1e-9)
         if len(self._alarm_confidence) <= allowed:
             return 0.0

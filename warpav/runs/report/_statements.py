@@ -214,13 +214,13 @@ def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 def _false_alarms(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """Rigs whose detector never raises as many false alarms as rigs are compared at."""
-    rate = None if run.config is None else run.config.evaluation.false_alarms_per_image
     fewer = [name for name, arm in evaluation.arms.items() if arm.confidence_at_equal_false_alarms == 0.0]
-    if rate is None or not fewer:
+    if run.config is None or not fewer:
         return None
+    rate = run.config.evaluation.false_alarms_per_image
     text = (
-        f"{_listed(map(_arm, fewer))} {'has' if len(fewer) == 1 else 'have'} at most {rate:g} an image at any threshold, "
-        "and is judged by all that the detector reports."
+        f"{_listed(map(_arm, fewer))} {'raises' if len(fewer) == 1 else 'raise'} no more than {rate:g} an image, so "
+        "all that the detector reports counts."
     )
     return Statement("False alarms", text)
 
