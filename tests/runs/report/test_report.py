@@ -324,7 +324,7 @@ CAUTIONS = {
     "own body": (arms_of(tp_detection_rate=0.0, body_share_max=0.97), "own body covers up to 97% of an image"),
     "expected": ({**arms_of(misses_per_100=37.5), **outage_of(15.0)}, "do not rely on the expected misses of this run"),
     "easy": (arms_of(misses_at_equal_false_alarms=1.9), "do not tell them apart: try scenes.level=dense"),
-    "few false alarms": (arms_of(false_alarms_per_frame=0.4), "the highest rig have fewer than 0.5 an image at all"),
+    "few false alarms": (arms_of(confidence_at_equal_false_alarms=0.0), "highest rig raise no more than 0.5 an image"),
     "few scenes": ({"scenes": {"test": 5}}, "with fewer than 6, no interval can exclude 0"),
 }
 
