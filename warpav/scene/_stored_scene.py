@@ -40,6 +40,7 @@ HELD_BYTES = 2**29  # meshes that a process holds on to, of all its stored scene
 _RECENT_COUNT = 8  # further scenes, those that were used last, whose meshes it has not let go of yet
 _FORMAT = 1
 _CHECKED_FROM = 8  # the checksum itself comes first
+_READING = threading.Lock()  # CPython 3.11 fails where two threads parse headers of npy files at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +49,7 @@ class SceneRecipe:
 
     source: BuiltSource | Path  # what it is built of, or a GLB file
     ego: Mesh | None = None  # the vehicle that takes the place of the scene's own; None: that stays
-    # Kinds of road users that are objects; the others are part of the environment.
-    targets: tuple[str, ...] = ("vehicle",)
+    targets: tuple[str, ...] = ("vehicle",)  # kinds of road users that are objects; others are environment
     is_mirrored: bool = False  # whether left and right are exchanged
 
     @property
@@ -174,8 +174,7 @@ def stored_scenes(
 
 
 def _make(task: tuple[SceneRecipe, Path]) -> None:
-    recipe, file = task
-    _write(_packed(recipe), file)
+    _write(_packed(task[0]), task[1])
 
 
 def _record(recipe: SceneRecipe, folder: Path, *, is_checked: bool = False) -> np.ndarray:
@@ -194,7 +193,8 @@ def _record(recipe: SceneRecipe, folder: Path, *, is_checked: bool = False) -> n
 
 
 def _mapped(file: Path, *, is_checked: bool) -> np.ndarray:
-    record = np.load(file, mmap_mode="r", allow_pickle=False)
+    with _READING:
+        record = np.load(file, mmap_mode="r", allow_pickle=False)
     if not is_checked and int(record["checksum"]) != _checksum(record):
         raise ValueError(f"{file}: damaged")
     return record
