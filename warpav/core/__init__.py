@@ -1,1 +1,1 @@
-"""What every room stands on: errors, YAML with line numbers, atomic writes, Warp, executors, frames."""
+"""What every package stands on: errors, YAML with line numbers, atomic writes, Warp, executors, frames."""

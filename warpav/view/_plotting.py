@@ -1,6 +1,6 @@
 """The front door to images: `plot` shows an object of warpav in a window or a notebook, or writes it to a file.
 
-What is drawn of an object is registered with `draws` by class and kind; rooms above this one register their own.
+What is drawn of an object is registered with `draws` by class and kind; packages above this one register their own.
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ def _no_display() -> InputError:
     )
 
 
-# ------------------------------------------------------------------------------------------- classes of lower rooms
+# ------------------------------------------------------------------------------------------- classes of lower packages
 
 
 @draws(Rig, "view", options=[each.name for each in fields(Picture) if each.name != "rig"])
