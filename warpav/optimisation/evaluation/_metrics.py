@@ -424,7 +424,8 @@ def observe_scenes(
             observation, measures, loss, probability = objective.observe_rig(rig, assigned)
             is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
             camera = list(range(len(rig.cameras)))
-            observations.append(RigObservation([observation], is_in_frame, camera, probability))
+            least = objective.options.confidence_min
+            observations.append(RigObservation([observation], is_in_frame, camera, probability, least))
             losses.append(loss)
         else:
             observations.append(observer.observe(assigned.scene))
