@@ -210,7 +210,7 @@ def check_rig(
 def rule_margins(
     rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | RigEvaluation | None = None
 ) -> dict[str, list[RuleMargin]] | None:
-    """How far rigs are from breaking the design rules of a placement, as wide as a search or a run has settled them.
+    """How far rigs are from breaking the design rules of a placement, with the limits that a search or a run kept.
 
     None where it keeps none. The gap of a run counts where the placement asks for the same.
     """
