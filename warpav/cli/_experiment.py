@@ -31,12 +31,12 @@ def experiment(
     name: Annotated[
         _Study,
         Parameter(
-            help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the same "
-            "by their objective, in the setting of --setting; ablations: the descent with one thing changed at a time; "
-            "correlation: whether the objective ranks rigs as the detector does; "
-            "scene_count: the search on ever more training scenes, judged on others; "
-            "places: the same on scenes of 1 to 48 streets; sweep: what a search "
-            "gains over the highest point, by number of cameras, field of view, height and traffic."
+            help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the "
+            "search beside rigs by hand and other searches, in the setting of --setting; ablations: the descent with "
+            "one thing changed at a time; correlation: whether the objective ranks rigs as the detector does; "
+            "scene_count: the search on ever more training scenes, judged on others; places: the same on scenes of 1 "
+            "to 48 streets; sweep: what a search gains over the highest point, by number of cameras, field of view, "
+            "height and traffic."
         ),
     ],
     config: Annotated[
@@ -49,9 +49,8 @@ def experiment(
     setting: Annotated[
         str | None,
         Parameter(
-            help="Of rivals: 4x90, 2x60, 1x120, 6x60 (pitch and height free, all road users), 8x90, bus; or on other "
-            "traffic dense, sind or ngsim, 2, 4 or 6 cameras, rack, roof or body, such as sind_4_body, with _bus and "
-            "_all (road users) behind."
+            help="Of rivals: traffic dense, sind or ngsim, 2, 4 or 6 cameras, rack, roof or body, such as sind_4_body; "
+            "with _bus and _all (road users) behind."
         ),
     ] = None,
     vary: Annotated[
@@ -64,9 +63,6 @@ def experiment(
     budget: Annotated[
         int | None, Parameter(help="Camera renders (one scene, one camera) for every search; by default the study's.")
     ] = None,
-    detector: Annotated[
-        bool, Parameter(help="Of rivals: run the detector on the unseen scenes as well.", negative="")
-    ] = False,
     executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Runs at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
@@ -74,20 +70,13 @@ def experiment(
     quick: Annotated[bool, Parameter(help="A small version, of minutes.", negative="")] = False,
 ) -> int:
     """Run a study and print its table; the same command again does what is missing."""
-    from dataclasses import replace
-
-    from warpav.core.errors import ArgumentError
     from warpav.experiments import find_study, run_study
     from warpav.runs import RunDisplay
     from warpav.runs.config import placed_config
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
-    if detector and name != "rivals":
-        raise ArgumentError("detector", f"expected nothing, as it is an option of rivals, got it with {name}")
     study = find_study(name, setting=setting, vary=vary, quick=quick)
-    if detector and study.judge == "objective":
-        study = replace(study, judge="detector")
     chosen = study.arms_of(arms)
     given = [*overrides, *executor_overrides(executor, workers, address)]
     with placed_config(config or study.config, study.overrides(given, chosen)) as settings, RunDisplay() as display:

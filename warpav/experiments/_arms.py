@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from warpav.optimisation import (
     Selection,
     SingleCameraValues,
     cma_es,
+    cma_es_around,
     detections_of,
     differential_evolution,
     edge_mount_pose,
@@ -132,7 +133,7 @@ class Arm:
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
         config, method = self.search_config(config), METHODS.get(self.method)
-        if self.method == "cma" and importlib.util.find_spec("cma") is None:
+        if self.method.startswith("cma") and importlib.util.find_spec("cma") is None:
             raise InputError(
                 f"arm {self.name}: expected the package cma to be installed, got none; " + install_text("rivals")
             )
@@ -327,8 +328,10 @@ def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig
     )
 
 
-def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool = False) -> FoundRig:
-    """The search by a pool; ``only`` the pool and the best rig of it, with the whole budget in the pool.
+def _pooled(
+    placement: Placement, camera_renders_max: int | None, *, only: Literal["pool", "by_hand"] | None = None
+) -> FoundRig:
+    """The search by a pool; ``only`` the best rig of a pool that has the whole budget, or rigs by hand, polished.
 
     What the cache holds is drawn again, so that the seconds count.
     """
@@ -336,7 +339,9 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
     settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
     if camera_renders_max is not None:  # rounds until it is spent, or until one brings nothing
         settings = replace(settings, rounds=camera_renders_max, refinements=camera_renders_max)
-    if only:
+    if only == "by_hand":
+        settings = replace(settings, selects=False)
+    if only == "pool":
         most = _budget(placement, camera_renders_max)
         every = most // len(placement.train)
         settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
@@ -350,8 +355,12 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
         assert best is not None
         more = {"stage": best.stage, "round": best.round, "bound": best.bound or None}
         rows.append(_row(best.camera_renders, began, best.objective, **more))
-    notes = {"bound": best.bound, "gap": best.gap, "pool_cameras": best.pool_cameras}
-    return _found(placement, best.mount_pose, begun.pairing_rig, rows, training_objective=best.objective, **notes)
+    notes = {"bound": best.bound or None, "gap": best.gap if best.bound else None, "pool_cameras": best.pool_cameras}
+    rig = descent.finish()
+    found = _found(
+        placement, rig.mount_pose, begun.pairing_rig, rows, training_objective=rig.training_objective, **notes
+    )
+    return replace(found, camera_renders=descent.camera_renders)
 
 
 def _from_one_start(placement: Placement) -> Optimisation:
@@ -412,6 +421,38 @@ def _practice(placement: Placement, _: int | None, *, pose_of: Callable[[Constra
     pose = pose_of(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(mount.off_the_skin(pose))
     return _found(placement, pose, mount.rig(pose))
+
+
+def _by_hand(placement: Placement, _: int | None, *, kind: str) -> FoundRig:
+    """The best rig of a kind of all that a hand would try, on the training scenes."""
+    search, pairing_rig = _hand_search(placement)
+    rig = next((each for each in search.hand_rigs if each.name == kind), None)
+    if rig is None:
+        raise InputError(f"arm {kind}: expected a mount and a number of cameras for such a rig, got none that fits it")
+    found = _found(placement, rig.mount_pose, pairing_rig, training_objective=rig.value, numbers=rig.numbers)
+    return replace(found, camera_renders=search.camera_renders)
+
+
+def _hand_search(placement: Placement) -> tuple[PoolRun, Rig | None]:
+    """A search that has tried the rigs by hand and nothing else; and the rig that cameras are paired with."""
+    begun = Optimisation.begin(placement.with_config(load_config(placement.config, ["optimiser.search=pool"])))
+    assert isinstance(begun.descent, PoolRun)
+    begun.descent.try_by_hand()
+    return begun.descent, begun.pairing_rig
+
+
+def _cma_by_hand(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """CMA-ES around the best rig by hand, whose search is paid out of the same budget."""
+    search, _ = _hand_search(placement)
+    rig = search.hand_rigs[0].mount_pose
+
+    def values_on(rigs: np.ndarray, scene: np.ndarray) -> np.ndarray:
+        values_of = rig_values_of(placement.objective, [placement.train[k] for k in scene])
+        return np.fromiter(values_of(rigs), np.float64, len(rigs))
+
+    left = _budget(placement, camera_renders_max) - search.camera_renders
+    found = _searched(placement, left, search=lambda *_: partial(cma_es_around, start=rig, values_on=values_on))
+    return replace(found, camera_renders=found.camera_renders + search.camera_renders)
 
 
 def _highest_raised(placement: Placement, _: int | None) -> FoundRig:
@@ -537,13 +578,17 @@ METHODS = {
     "optimiser": Method(_optimised, starts=True, holds=True, is_arm=False),
     # with its own number of steps
     "as_configured": Method(lambda placement, _: _optimised(placement, None), starts=True, holds=True, is_arm=False),
-    "pool_only": Method(partial(_pooled, only=True), starts=True, holds=True),
+    "pool_only": Method(partial(_pooled, only="pool"), starts=True, holds=True),
+    "descent_by_hand": Method(partial(_pooled, only="by_hand"), is_seeded=False),
     "descent_only": Method(_descent_only, starts=True, holds=True),
     "start": Method(_start, starts=True, holds=True),
     "random_rig": Method(_random_rig, holds=True),
     "highest": Method(partial(_practice, pose_of=highest_mount_pose), holds=True, is_seeded=False),
     "highest_raised": Method(_highest_raised, is_seeded=False),
-    "roof_edge": Method(partial(_practice, pose_of=edge_mount_pose), is_seeded=False),
+    "edge": Method(partial(_practice, pose_of=edge_mount_pose), is_seeded=False),
+    "corners": Method(partial(_by_hand, kind="corners"), is_seeded=False),
+    "cross": Method(partial(_by_hand, kind="cross"), is_seeded=False),
+    "nuscenes_layout": Method(partial(_by_hand, kind="nuscenes"), is_seeded=False),
     "random_batches": Method(_random_batches),
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": Method(partial(_searched, search=lambda *_: random_search, free_yaw=False), holds=True),
@@ -552,6 +597,7 @@ METHODS = {
     "random_selected": Method(partial(_searched, search=partial(_selected, draw=random_rigs)), holds=True),
     "sobol_selected": Method(partial(_searched, search=partial(_selected, draw=sobol_rigs)), holds=True),
     "cma": Method(partial(_searched, search=lambda *_: cma_es), holds=True),
+    "cma_by_hand": Method(_cma_by_hand),
     "differential_evolution": Method(partial(_searched, search=lambda *_: differential_evolution), holds=True),
     "greedy_cover": Method(partial(_searched, search=_greedy)),
 }

@@ -24,7 +24,6 @@ from warpav.core.progress import NullProgress, Progress
 from warpav.experiments._arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
 from warpav.experiments._gradient_magnitude import measure_gradient_magnitudes
 from warpav.experiments._result_folder import (
-    ATTAINABLE,
     RESULTS,
     SCHEMA,
     is_there,
@@ -37,7 +36,6 @@ from warpav.experiments._rows import OWN_JUDGE, ROWS, rows_of, table_of, write_r
 from warpav.experiments._study import GRADIENTS, Judge, Study
 from warpav.optimisation import (
     AssignedScene,
-    attainable_objects,
     highest_mount_pose,
     metrics_of,
     observe_scenes,
@@ -66,6 +64,7 @@ from warpav.runs import (
     traffic_fleet_digest,
 )
 from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
+from warpav.sight import RuleCheck
 
 _Task = TypeVar("_Task")
 
@@ -111,18 +110,6 @@ class _TrafficOfProcess:
 
 
 traffic_of_process = _TrafficOfProcess()
-
-
-_attainable: dict[str, list[np.ndarray] | None] = {}
-
-
-def _attainable_objects(placement: Placement) -> list[np.ndarray] | None:
-    """What could be found in the test scenes, which does not hang on the rig; the last answer is kept."""
-    key = unseeded(placement.config)
-    if key not in _attainable:
-        _attainable.clear()
-        _attainable[key] = attainable_objects(placement.objective, placement.test)
-    return _attainable[key]
 
 
 def run_study(
@@ -226,24 +213,25 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
     found = find_rig_of(task.arm, placement, task.camera_renders_max)
     if placement.config.camera != evaluation.config.camera:  # all arms are judged with images of one size
         found = replace(found, rig=resized(found.rig, evaluation.config))
+    if found.mount_pose is not None and placement.mount.is_symmetric != evaluation.mount.is_symmetric:
+        found = replace(found, mount_pose=evaluation.mount.mount_pose_of_rig(found.rig))
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
     if task.judge != "objective":
-        attainable = _attainable_objects(evaluation) if task.judge == "attainable" else None
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
-        tested: dict[str, Any] = {
-            "metrics": metrics_of(seen, evaluation.objective, attainable=attainable).to_json(),
-            **({} if attainable is None else {ATTAINABLE: [each.astype(int).tolist() for each in attainable]}),
-        }
+        tested: dict[str, Any] = {"metrics": metrics_of(seen, evaluation.objective).to_json()}
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
             "constraint_violation_m": evaluation.objective.constraints.violation_m(found.rig),
         }
+    margins = RuleCheck(found.rig, evaluation.ego).margins
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
         **tested,
+        "rules_broken": [each.rule for each in margins if not each.is_kept],
+        "near_ground_m": next(each.value for each in margins if each.rule == "near_ground"),
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
         "method": task.arm.method,
         "overrides": list(task.arm.overrides),

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
@@ -24,7 +22,6 @@ from warpav.core.warp_setup import device_name
 from warpav.experiments._arms import resized
 from warpav.experiments._experiment import Finished, make_scenes_ready, outcomes, show_rows, traffic_of_process
 from warpav.experiments._result_folder import (
-    ATTAINABLE,
     DESCRIPTION,
     RESULTS,
     read_description,
@@ -55,7 +52,6 @@ class _RescoreTask:
     source: Path
     folder: Path
     made_with: str
-    knows_attainable: bool = False
 
     @property
     def file(self) -> Path:
@@ -64,9 +60,7 @@ class _RescoreTask:
     def is_done(self) -> bool:
         """Whether the rig has been rescored with the same options; other results are replaced."""
         result = read_json(self.file) if self.file.is_file() else None
-        if not isinstance(result, dict) or result.get("made_with") != self.made_with:
-            return False
-        return ATTAINABLE in result or not self.knows_attainable
+        return isinstance(result, dict) and result.get("made_with") == self.made_with
 
 
 def config_file(folder: Path) -> Path:
@@ -126,12 +120,6 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     """What there is to do to rescore all rigs of an experiment."""
     described = read_description(folder)
     before = _read_rigs(folder)
-    # whether rigs are judged on the very test scenes of their experiment, of which it says what can be found
-    options = described["options"]
-    now = json.loads(unseeded(config))
-    names = {name for name in (*options, *now) if name.startswith(("scenes.", "capture.", "reconstruction."))}
-    names -= {"scenes.train_seeds", "scenes.validation_seeds", "scenes.mirror"}
-    is_same = all(options.get(name) == now.get(name) for name in names)
     unused = next(seed for seed in config.scenes.train_seeds if seed not in config.scenes.test_seeds)
     without_training = (
         f"scenes.train_seeds=[{unused}]",
@@ -147,9 +135,8 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     tasks = []
     for run in (run for runs in before.values() for run in runs):
         made_with = digest(_SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-        knows_attainable = is_same and ATTAINABLE in run
         named = f"{run['arm']}_{run['seed']}"
-        tasks.append(_RescoreTask(named, config, folder.absolute(), out, made_with, knows_attainable))
+        tasks.append(_RescoreTask(named, config, folder.absolute(), out, made_with))
     return _Rescoring(described, before, judge or name, config, out, tasks)
 
 
@@ -222,9 +209,7 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
     old = read_json(task.source / RESULTS / f"{task.name}.json")
-    known = {ATTAINABLE: old[ATTAINABLE]} if task.knows_attainable else {}
-    attainable = [np.array(each, bool) for each in known[ATTAINABLE]] if known else None
-    metrics = metrics_of(seen, placement.objective, attainable=attainable).to_json()
+    metrics = metrics_of(seen, placement.objective).to_json()
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
     result = {
@@ -237,7 +222,6 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
         "search_overrides": old.get("search_overrides", []),
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
-        **known,
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
     write_json(task.file, result)

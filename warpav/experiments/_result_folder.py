@@ -24,8 +24,6 @@ from warpav.runs.config import KEPT_FILES, Config, dump_config, option_values
 SCHEMA = 3
 DESCRIPTION = "experiment.json"
 RESULTS = "results"
-ATTAINABLE = "attainable"
-"""Key of a result that says which objects of the test scenes can be found from the mount: 0 or 1, [scene][object]."""
 
 
 def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int | None) -> None:

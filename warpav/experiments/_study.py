@@ -34,8 +34,8 @@ _METHOD_OF = {"SGD": "optimiser", "Random": "random_batches", "Highest": "highes
 _UNPRINTED = ("SGD", "IFR+DOA+SB+OV")
 """What the text above table IV announces and the table does not print."""
 
-Judge = Literal["objective", "detector", "attainable"]
-"""Who judges rigs: the objective, the detector, or the detector that is also told what could be found at all."""
+Judge = Literal["objective", "detector"]
+"""Who judges rigs."""
 
 
 class _Part(BaseModel):
@@ -61,16 +61,13 @@ class _Quick(_Part):
 
 
 class _Setting(_Part):
-    """What a setting, or a word of a composed one, adds."""
+    """What a word of a setting adds."""
 
     options: tuple[str, ...] = ()
     budget: int | None = None
-    budget_factor: int = 1
     arms: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     needs: str | None = None
-    judge: Judge | None = None
-    quick: tuple[str, ...] = ()
 
 
 class _Factor(_Part):
@@ -97,7 +94,6 @@ class _StudyFile(_Part):
     table: str = "arms"
     quick: _Quick = _Quick()
     vary: dict[str, _Factor] = {}
-    settings: dict[str, _Setting] = {}
     words: tuple[dict[str, _Setting], ...] = ()
 
 
@@ -152,17 +148,16 @@ def find_study(
     name: str, *, setting: str | None = None, vary: Sequence[str] | None = None, quick: bool = False
 ) -> Study:
     file = _read("table2" if name == "table3" else name)
-    if setting is not None and not file.settings:
+    if setting is not None and not file.words:
         raise ArgumentError("setting", f"expected nothing, as it is an option of rivals, got it with {name}")
     if vary is not None and not file.vary:
         raise ArgumentError("vary", f"expected nothing, as it is an option of sweep, got it with {name}")
     parts = _parts(file, setting)
-    judges: list[Judge] = [part.judge for part in parts if part.judge is not None]
     dropped = {arm for part in parts for arm in part.without}
-    names: list[str | _ArmFile] = [*file.arms, *(arm for part in parts for arm in part.arms if arm not in dropped)]
     arms = [
         find_arm(each, {}) if isinstance(each, str) else Arm(each.name, each.method, each.options, each.search)
-        for each in names
+        for each in (*file.arms, *(arm for part in parts for arm in part.arms))
+        if each not in dropped
     ]
     if file.thesis is not None:
         rows = _thesis_rows(file.thesis)
@@ -174,21 +169,18 @@ def find_study(
     if file.vary:
         arms, references = _varied(arms, file, vary, quick=quick)
     budget = next((part.budget for part in parts if part.budget is not None), file.budget)
-    for part in parts:
-        budget = budget and budget * part.budget_factor
     ego = "bus" if any("scenes.ego=bus" in part.options for part in parts) else "car"
     of_parts = [each.format(zones=_FOLDER / "zones", ego=ego) for part in parts for each in part.options]
-    smaller = [each for part in parts for each in part.quick] if quick else []
     return Study(
         "_".join([name if name != "table3" else "table2", *([setting] if setting else []), *(["quick"] * quick)]),
         file.config,
         tuple(arms),
         file.quick.runs if quick else file.runs,
-        (*file.options, *of_parts, *(file.quick.options if quick else ()), *smaller),
+        (*file.options, *of_parts, *(file.quick.options if quick else ())),
         file.quick.runs_of if quick else file.runs_of,
         references,
         (file.quick.budget if quick else None) or budget,
-        judges[0] if judges else file.judge,
+        file.judge,
         "thesis III" if name == "table3" else file.table,
         next((part.needs for part in parts if part.needs), None),
     )
@@ -217,19 +209,16 @@ def _read(name: str) -> _StudyFile:
 
 
 def _parts(file: _StudyFile, setting: str | None) -> list[_Setting]:
-    """What a setting adds: one of a name, or one composed of words."""
-    if not file.settings:
+    """What the words of a setting add."""
+    if not file.words:
         return []
-    if setting in file.settings:
-        return [file.settings[setting]]
     for words in itertools.product(*(each.items() for each in file.words)):
         if "_".join(word for word, _ in words if word) == setting:
             return [part for _, part in words]
-    usual = ", ".join(file.settings)
     parts = "; ".join(filter(None, (" ".join(filter(None, each)) for each in file.words)))
     raise ArgumentError(
         "setting",
-        f"expected one of {usual}, or a word of each of these with _ between: {parts}, got {setting or 'none'}",
+        f"expected a word of each of these with _ between: {parts}, got {setting or 'none'}",
     )
 
 

@@ -63,6 +63,7 @@ from warpav.optimisation._rig_limits import RigLimits as RigLimits
 from warpav.optimisation._rig_limits import range_text as range_text
 from warpav.optimisation._rivals import Draw as Draw
 from warpav.optimisation._rivals import cma_es as cma_es
+from warpav.optimisation._rivals import cma_es_around as cma_es_around
 from warpav.optimisation._rivals import detections_of as detections_of
 from warpav.optimisation._rivals import differential_evolution as differential_evolution
 from warpav.optimisation._rivals import greedy_cover as greedy_cover

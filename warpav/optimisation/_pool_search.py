@@ -55,6 +55,7 @@ _PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
 _FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (10, 1.0), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
+_WHOLE_POLISH = (40, 1.0)  # of a rig by hand where there is no pool
 _BEHIND_MAX = 0.01  # how far behind the best a polish may be, relatively, after half of its steps
 _GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
@@ -88,6 +89,7 @@ class PoolSearchSettings:
     selection_time_s: float = 20.0  # when a selection ends at the latest [s]
     camera_renders_max: int | None = None  # camera renders (one camera, one scene) that may be spent
     polishes: bool = True  # whether selected rigs are polished
+    selects: bool = True  # whether there is a pool to select from; else rigs by hand are polished, one after the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +186,7 @@ class PoolSearch:
         pool: CameraPool | None = None,
     ) -> None:
         settings = settings or PoolSearchSettings()
-        if settings.pool_cameras < task.camera_count:
+        if settings.selects and settings.pool_cameras < task.camera_count:
             expected = f"expected at least the rig's {task.camera_count}, got {settings.pool_cameras}"
             raise ArgumentError("pool_cameras", expected)
         if not settings.selection_time_s > 0.0:  # before anything is drawn
@@ -268,7 +270,8 @@ class PoolSearch:
 
     def _begin(self) -> Iterator[Found]:
         """Draw the start and the first pool."""
-        mount, spread_count, start = self.cameras.mount, self.settings.pool_cameras, self.task.start
+        mount, start = self.cameras.mount, self.task.start
+        spread_count = self.settings.pool_cameras if self.settings.selects else 0
         first = self.assembly.frozen
         if start is not None:
             start = nearest_rig(start, mount, self.constraints)
@@ -312,10 +315,13 @@ class PoolSearch:
                 yield from self._offered(start, first)
         self._todo = [("improve",)]
         if self.task.starts_by_hand:
-            by_hand = self._best_by_hand()
+            best, others = self._best_by_hand()
             if start is not None:
                 yield from self._offered(start, first)
-            self._todo = [("improve", [rig.tolist() for rig in by_hand])]
+            self._todo = [("improve", [rig.tolist() for rig in best[:_POLISHED_BY_HAND]])]
+            if not self.settings.selects:
+                polishes = [("polish", rig.tolist(), *_WHOLE_POLISH) for rig in (*best, *others)]
+                self._todo = [*polishes, ("note",), ("settle",)]
 
     def _offered(self, start: np.ndarray, rows: np.ndarray) -> Iterator[Found]:
         """The start as the first rig, where it keeps what rigs must keep, unless there is one already."""
@@ -341,16 +347,19 @@ class PoolSearch:
             self._progress.say(f"{'by hand':<12} objective {found[0].value:.4f}  {found[0]}")
         self.hand_rigs = [replace(each, mount_pose=self.assembly.rig(each.mount_pose)) for each in found]
 
-    def _best_by_hand(self) -> list[np.ndarray]:
-        """Of every kind the best of those rigs that keeps the rules, and whose cameras stand apart."""
-        kept = dict[str, np.ndarray]()
+    def _best_by_hand(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Those that keep the rules, and whose cameras stand apart: the best of every kind, then the others."""
+        kept, others = dict[str, np.ndarray](), list[np.ndarray]()
         for each in self.hand_rigs:
-            rig, is_known = each.mount_pose, each.name in kept
-            if is_known or each.value == np.inf or too_near(rig, self.constraints).nnz or not self._keeps_rules(rig):
+            rig = each.mount_pose
+            if each.value == np.inf or too_near(rig, self.constraints).nnz or not self._keeps_rules(rig):
+                continue
+            if each.name in kept:
+                others.append(rig)
                 continue
             kept[each.name] = rig
             self._is_better(rig, each.value)
-        return list(kept.values())[:_POLISHED_BY_HAND]
+        return list(kept.values()), others
 
     def _value_of(self, rig: np.ndarray) -> float:
         """The objective of a rig of the pool, float32 [camera, 7]."""

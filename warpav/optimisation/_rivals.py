@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,10 @@ from warpav.optimisation.selection._select import Selection, select
 
 _FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
+
+_NEAR_STEP, _SCENES_AT_ONCE, _MEAN_EVERY = 0.05, 5, 10
+"""First standard deviation of CMA-ES around a rig, scenes that each generation is tried on, and generations between two
+looks at the mean on all scenes."""
 
 _SEEN_SHARE = 0.9
 """Assumed probability that a camera detects an object that the detector once found in its image."""
@@ -147,10 +152,6 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator) -> None:
     not drift away from the rigs: the spread of the generation's values (its interquartile range), times the squared
     distance that the projection moved the sample, in standard deviations, mean over the numbers.
     """
-    try:
-        import cma
-    except ImportError:
-        raise OptionError("arm cma", f"expected the package cma, got none; {install_text('rivals')}") from None
     space = value.space
     if space.size < 2:
         raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
@@ -158,25 +159,64 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator) -> None:
     while value.rigs_left:
         poses = random_rigs(space, population, rng)
         first = space.unit_of(poses[int(np.argmin(value.of_rigs(poses)))])
-        options = {
-            "popsize": population,
-            "seed": math.nan,  # leaves NumPy's global numbers alone
-            "randn": lambda *shape: rng.standard_normal(shape),
-            "verbose": -9,
-            "verb_log": 0,
-        }
-        evolution = cma.CMAEvolutionStrategy(first, _FIRST_STEP, options)
+        evolution = _evolution(first, _FIRST_STEP, population, rng)
         while not evolution.stop():
-            samples = evolution.ask()
-            deviation = np.asarray(evolution.stds)
-            poses = [space.pose_of(unit) for unit in samples]
-            found = value.of_rigs(poses)
-            moved = []
-            for unit, pose in zip(samples, poses, strict=True):
-                step = np.where(space.goes_round, 0.0, space.unit_of(pose) - unit) / deviation
-                moved.append(float(np.mean(step**2)))
-            evolution.tell(samples, _with_penalty(found, np.array(moved)).tolist())
+            _generation(evolution, space, value.of_rigs)
         population *= 2
+
+
+def cma_es_around(
+    value: BudgetedValue,
+    rng: np.random.Generator,
+    *,
+    start: np.ndarray,
+    values_on: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> None:
+    """CMA-ES around a rig, each generation on a few scenes of its own, so that a budget buys many rigs.
+
+    The mean is looked at on all scenes now and then; the best of these looks and the start is the result.
+    ``values_on`` gives values of rigs, float32 [rig, camera, 7], on some scenes, int [scene].
+    """
+    space, count = value.space, min(_SCENES_AT_ONCE, value.scene_count)
+
+    def on_some(poses: Sequence[np.ndarray]) -> np.ndarray:
+        value.spend(len(poses) * space.camera_count * count)
+        return values_on(np.array(poses, np.float32), rng.choice(value.scene_count, count, replace=False))
+
+    value(start)
+    while True:
+        evolution = _evolution(space.unit_of(start), _NEAR_STEP, 4 + int(3.0 * math.log(space.size)), rng)
+        while not evolution.stop():
+            for _ in range(_MEAN_EVERY):
+                _generation(evolution, space, on_some)
+            value(space.pose_of(np.asarray(evolution.mean)))
+
+
+def _evolution(first: np.ndarray, step: float, population: int, rng: np.random.Generator) -> Any:  # noqa: ANN401
+    try:
+        import cma
+    except ImportError:
+        raise OptionError("arm cma", f"expected the package cma, got none; {install_text('rivals')}") from None
+    options = {
+        "popsize": population,
+        "seed": math.nan,  # leaves NumPy's global numbers alone
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "verbose": -9,
+        "verb_log": 0,
+    }
+    return cma.CMAEvolutionStrategy(first, step, options)
+
+
+def _generation(evolution: Any, space: SearchSpace, values_of: Callable[[list[np.ndarray]], np.ndarray]) -> None:  # noqa: ANN401
+    samples = evolution.ask()
+    deviation = np.asarray(evolution.stds)
+    poses = [space.pose_of(unit) for unit in samples]
+    found = values_of(poses)
+    moved = []
+    for unit, pose in zip(samples, poses, strict=True):
+        step = np.where(space.goes_round, 0.0, space.unit_of(pose) - unit) / deviation
+        moved.append(float(np.mean(step**2)))
+    evolution.tell(samples, _with_penalty(found, np.array(moved)).tolist())
 
 
 def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray:
