@@ -12,7 +12,7 @@ EXPERIMENTS = {
     "table2": ["table2", "--arms", "sgd_ifr_doa,random_ifr_doa", "--runs", "2"],
     "open": ["open", "--arms", "random,highest", "--runs", "2", "--budget", "16"],
     "rivals": [
-        *("rivals", "--setting", "4x90", "--arms", "default,highest,random_selected", "--runs", "2"),
+        *("rivals", "--setting", "dense_2_rack", "--arms", "default,highest,descent_by_hand", "--runs", "2"),
         *("--budget", "400", "optimiser.pool_cameras=16"),
     ],
 }

@@ -8,6 +8,7 @@ together (BCa), and rows of runs alone cannot give them again.
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -34,14 +35,14 @@ MARK = re.compile(r"(<!-- rows: ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """What stands between such marks on a page is a table: its kind, and of which study and judge."""
 _COLUMNS = (
     *("study", "judge", "arm", "seed", "objective", "objective_seen", "gap", "misses_per_100"),
-    *("misses_at_equal_false_alarms", "false_alarms_per_image", "ap50", "attainable_misses_per_100"),
+    *("misses_at_equal_false_alarms", "false_alarms_per_image", "ap50", "near_ground_m", "rules_broken"),
     *("map50_average", "map50_min_camera", "map50_max_camera", "detection_rate", "in_frame_rate", "confidence"),
     *("constraint_violation_m", "constraint_loss", "min_camera_distance_m", "camera_renders", "search_seconds"),
     *("positional", "rotational", "of", "reference", "more", "low", "high"),
 )
 _METRICS = {
     **{name: name for name in _COLUMNS if name.startswith("map50_")},
-    **{name: name for name in ("misses_per_100", "misses_at_equal_false_alarms", "attainable_misses_per_100")},
+    **{name: name for name in ("misses_per_100", "misses_at_equal_false_alarms")},
     "false_alarms_per_frame": "false_alarms_per_image",
     "ap50_pooled": "ap50",
     "tp_detection_rate": "detection_rate",
@@ -58,7 +59,7 @@ _ARM_COLUMNS = {
     "expected misses per 100": ("objective", 100.0, 2),
     "false alarms there": ("false_alarms_per_image", 1.0, 1),
     "AP50": ("ap50", 100.0, 1),
-    "attainable missed": ("attainable_misses_per_100", 1.0, 1),
+    "rules broken": ("rules_broken", 1.0, 1),
     "on the scenes of the search": ("objective_seen", 100.0, 2),
     "above the bound": ("gap", 100.0, 2),
     "renders": ("camera_renders", 1.0, 0),
@@ -67,7 +68,7 @@ _ARM_COLUMNS = {
 _COMPARED = {"misses_at_equal_false_alarms": 1.0, "objective": 100.0}
 """What is compared with the reference, per 100 road users: the detector's misses where there are any."""
 _MISSED = "misses_at_equal_false_alarms"
-_BY_HAND = {"highest", "roof_edge", "nuscenes_as_built"}
+_BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built"}
 _PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
 _OBJECTIVE_COLUMNS = ("objective", "objective_seen")
 """Shown only where no detector judged."""
@@ -125,10 +126,19 @@ def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[_Row]:
             "objective": _text(metrics["objective"] if "metrics" in run else objective_on_tests(run)),
             **{name: _text(run.get(name)) for name in ("objective_seen", "gap", "constraint_loss")},
             **{column: _text(metrics.get(name)) for name, column in _METRICS.items()},
+            **_rules(run),
             **renders,
             "search_seconds": _text(run["seconds"]["search"]),
         }
     ]
+
+
+def _rules(run: Mapping[str, Any]) -> dict[str, str]:
+    """From how near the ground is seen all round [m], inf for nowhere, and how many rules are broken."""
+    if "rules_broken" not in run:
+        return {}
+    near_m = run["near_ground_m"]
+    return {"near_ground_m": "inf" if near_m is None else _text(near_m), "rules_broken": str(len(run["rules_broken"]))}
 
 
 def _of_scenes(runs: Sequence[Mapping[str, Any]], of: str) -> np.ndarray | None:
@@ -232,34 +242,53 @@ def _best_by_hand(arms: Mapping[str, list[_Row]]) -> str:
 
 
 def _settings(rows: Sequence[_Row], *shown: str) -> Table:
-    """The search beside the best rig by hand, in some settings of hard and recorded traffic or in all."""
+    """The search beside the best rig by hand, in some settings of rivals or in all."""
     lines = []
-    for study in shown or dict.fromkeys(row["study"] for row in rows if row["arm"] == "roof_edge"):
+    for study in shown or _rival_studies(rows):
         arms = _runs(rows, study, OWN_JUDGE)
         missed = {arm: _mean(runs, _MISSED, 1.0, 1) for arm, runs in arms.items()}
-        cells = [missed[arm] for arm in (_best_by_hand(arms), "random_selected", "default")]
-        name = ", ".join(_PARTS.get(part, part) for part in study.split("_"))
-        fewer = _difference(rows, study, OWN_JUDGE, _best_by_hand(arms))
-        lines.append([name, *cells, fewer, missed.get("highest_raised", "")])
-    heads = ["best by hand", "random cameras, selected", "warpav", "fewer [95 %]", "by hand, 25 cm higher"]
+        hand = _best_by_hand(arms)
+        near = " / ".join(_near(arms[arm]) for arm in (hand, "default"))
+        name = ", ".join(_PARTS.get(part, part) for part in study.removeprefix("rivals_").split("_"))
+        fewer = _difference(rows, study, OWN_JUDGE, hand)
+        raised = missed.get("highest_raised", "")
+        lines.append(
+            [name, f"{missed[hand]} ({hand})", missed["default"], fewer, missed["without_rules"], near, raised]
+        )
+    heads = ["best by hand", "warpav", "fewer [95 %]", "without rules", "ground seen from [m]", "by hand, 25 cm higher"]
     return Table.of(["traffic, cameras, mount", *heads], lines)
 
 
+def _near(runs: Sequence[_Row]) -> str:
+    """From how far off the body on the ground is seen all round [m], the median of runs."""
+    near_m = float(np.median(_values(runs, "near_ground_m")))
+    return f"{near_m:g}" if math.isfinite(near_m) else "nowhere"
+
+
+def _rival_studies(rows: Sequence[_Row]) -> list[str]:
+    return list(dict.fromkeys(row["study"] for row in rows if row["study"].startswith("rivals_")))
+
+
 def _rivals(rows: Sequence[_Row], *studies: str) -> Table:
-    """How many more every arm misses than the search, by study."""
+    """How many more every arm misses than the search, by setting."""
+    studies = studies or tuple(_rival_studies(rows))
     arms = dict.fromkeys(row["arm"] for row in rows if row["study"] in studies and row.get("of"))
-    lines = [[study, *(_difference(rows, study, OWN_JUDGE, arm) for arm in arms)] for study in studies]
+    lines = [
+        [study.removeprefix("rivals_"), *(_difference(rows, study, OWN_JUDGE, arm) for arm in arms)]
+        for study in studies
+    ]
     return Table.of(["setting", *arms], lines)
 
 
 def _networks(rows: Sequence[_Row]) -> Table:
-    """What other networks miss at equal false alarms: of the search, and of the best rig by hand."""
-    pairs = [(row["study"], row["judge"]) for row in rows if row["arm"] == "roof_edge" and row["judge"] != OWN_JUDGE]
-    studies, judges = (dict.fromkeys(each) for each in zip(*pairs, strict=True))
-    found = {pair: _runs(rows, *pair) for pair in pairs}
-    arms = {pair: ("default", _best_by_hand(runs)) for pair, runs in found.items()}
-    cells = {pair: " / ".join(_mean(runs[arm], _MISSED, 1.0, 1) for arm in arms[pair]) for pair, runs in found.items()}
-    lines = [[study, *(cells.get((study, judge), "") for judge in judges)] for study in studies]
+    """How many fewer the search misses than the best rig by hand, by networks that no search knew."""
+    studies = _rival_studies(rows)
+    judges = dict.fromkeys(row["judge"] for row in rows if row["study"] in studies and row["judge"] != OWN_JUDGE)
+    lines = []
+    for study in studies:
+        found = {judge: _runs(rows, study, judge) for judge in judges}
+        cells = (runs and _difference(rows, study, judge, _best_by_hand(runs)) for judge, runs in found.items())
+        lines.append([study.removeprefix("rivals_"), *(cell or "" for cell in cells)])
     return Table.of(["setting", *judges], lines)
 
 
