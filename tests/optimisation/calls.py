@@ -1,8 +1,9 @@
 """Searches, polishes and selections by keyword, for tests that vary one thing at a time."""
 
-from warpav.optimisation import CameraPool, Drawing, PolishSteps, PolishTask, PoolTask
-from warpav.optimisation import polish as polished
+from warpav.optimisation import CameraPool, Drawing, PoolTask
 from warpav.optimisation._camera_loss import select_robust as robust
+from warpav.optimisation._polish import PolishSteps, PolishTask
+from warpav.optimisation._polish import polish as polished
 from warpav.optimisation._pool_search import PoolSearch
 from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection._select import select as selected

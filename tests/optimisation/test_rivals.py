@@ -21,7 +21,6 @@ from warpav.optimisation import (
     SearchSpace,
     cma_es,
     detections_of,
-    differential_evolution,
     greedy_cover,
     highest_mount_pose,
     random_search,
@@ -39,7 +38,6 @@ needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="
 SEARCHES = [
     pytest.param(random_search, id="random"),
     pytest.param(sobol_search, id="sobol"),
-    pytest.param(differential_evolution, id="differential_evolution"),
     pytest.param(cma_es, id="cma", marks=needs_cma),
 ]
 
@@ -132,7 +130,6 @@ def chance(camera_count):
     ("method", "most"),
     [
         (sobol_search, 1.0),
-        (differential_evolution, 0.5),
         pytest.param(cma_es, 0.01, marks=needs_cma),
     ],
 )

@@ -12,7 +12,6 @@ import importlib.util
 import json
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -27,22 +26,17 @@ from warpav.optimisation import (
     Constraints,
     Draw,
     Drawing,
-    PolishSteps,
-    PolishTask,
     PoolRun,
     Search,
     SearchSpace,
     Selection,
     SingleCameraValues,
     cma_es,
-    cma_es_around,
     detections_of,
-    differential_evolution,
     edge_mount_pose,
     greedy_cover,
     highest_mount_pose,
     move_to_vehicle,
-    polish,
     random_mount_pose,
     random_rigs,
     random_search,
@@ -52,7 +46,6 @@ from warpav.optimisation import (
     sobol_rigs,
     sobol_search,
 )
-from warpav.raster.camera import CameraModel
 from warpav.rig import Rig, preset_names, preset_rig
 from warpav.runs import (
     Optimisation,
@@ -70,8 +63,6 @@ from warpav.thesis import BatchChooser, Descent, affordable_iterations, descent_
 
 _AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
-PIXELS = 256 * 256
-"""Pixels of an image of the configuration ``default``, which presets as they are built have as well."""
 _GREEDY_DIRECTIONS = 8
 """Directions that greedy cover evaluates at each position."""
 
@@ -190,9 +181,6 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     every = {**_common_arms(), **arms}
     if name in every:
         return every[name]
-    preset = name.removeprefix("default_as_").removesuffix(_AS_BUILT)
-    if name.startswith("default_as_") and preset in preset_names():
-        return _default_like(preset, pixels=PIXELS if name.endswith(_AS_BUILT) else None)
     names = ", ".join(dict.fromkeys([*arms, *every]))
     raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{nearest(name, every)}")
 
@@ -224,23 +212,6 @@ def _common_arms() -> dict[str, Arm]:
     presets = [f"{name}{ending}" for ending in ("", _AS_BUILT) for name in preset_names()]
     others = [Arm(name, name) for name in (*METHODS, *presets) if name not in METHODS or METHODS[name].is_arm]
     return {arm.name: arm for arm in (*own, *others)}
-
-
-def _fov_deg(model: CameraModel) -> float:
-    return round(math.degrees(model.fov_rad), 1)
-
-
-def _default_like(preset: str, *, pixels: int | None = None) -> Arm:
-    """The default method with as many cameras as a preset and its most frequent field of view, as all share one."""
-    cameras = preset_rig(preset).cameras
-    common = Counter(_fov_deg(camera.model) for camera in cameras).most_common(1)[0][0]
-    overrides = (f"rig.cameras={len(cameras)}", f"camera.fov_deg={common}")
-    name = f"default_as_{preset}"
-    if pixels is not None:
-        name += _AS_BUILT
-        model = next(each.model for each in cameras if _fov_deg(each.model) == common).with_pixels(pixels)
-        overrides += (f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}")
-    return Arm(name, "optimiser", overrides, _common_arms()["default"].search_overrides)
 
 
 def _thesis_options(*parts: str) -> tuple[str, ...]:
@@ -335,7 +306,8 @@ def _pooled(
 
     What the cache holds is drawn again, so that the seconds count.
     """
-    placement = placement.with_config(load_config(placement.config, ["optimiser.search=pool"]))
+    start = ["rig.start=by_hand"] if only == "by_hand" else []
+    placement = placement.with_config(load_config(placement.config, ["optimiser.search=pool", *start]))
     settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
     if camera_renders_max is not None:  # rounds until it is spent, or until one brings nothing
         settings = replace(settings, rounds=camera_renders_max, refinements=camera_renders_max)
@@ -363,33 +335,6 @@ def _pooled(
     return replace(found, camera_renders=descent.camera_renders)
 
 
-def _from_one_start(placement: Placement) -> Optimisation:
-    """What a descent begins with that tries no other starts, and takes none of its own steps."""
-    one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1", "run.batch_size=1"]
-    return Optimisation.begin(placement.with_config(load_config(placement.config, one)))
-
-
-def _descent_only(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The polish alone, from the configuration's one start, until nothing improves or the budget is spent."""
-    begun = _from_one_start(placement)
-    values = _single_values(placement, rig_values_of(placement.objective, placement.train))
-    task = PolishTask(
-        placement.objective.mount, placement.objective.constraints, len(values.scenes), weight=values.object_weight
-    )
-    steps = polish(
-        begun.descent.start,
-        lambda moved: values.cameras.with_jacobian(moved, values.scenes),
-        task,
-        PolishSteps(camera_renders_max=_budget(placement, camera_renders_max)),
-    )
-    rows, began, step = [], time.perf_counter(), None
-    for step in steps:
-        rows.append(_row(step.camera_renders, began, values.weight * step.objective))
-    assert step is not None
-    best = rows[-1]["best_value"]
-    return _found(placement, step.mount_pose, begun.pairing_rig, rows, training_objective=best)
-
-
 def _single_values(placement: Placement, values: _RigValues) -> SingleCameraValues:
     """Values of rigs, if they are known by single cameras."""
     if not isinstance(values, SingleCameraValues):
@@ -403,7 +348,8 @@ def _single_values(placement: Placement, values: _RigValues) -> SingleCameraValu
 
 def _start(placement: Placement, _: int | None) -> FoundRig:
     """The rig that the configuration's search starts from, without trying others."""
-    begun = _from_one_start(placement)
+    one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1", "run.batch_size=1"]
+    begun = Optimisation.begin(placement.with_config(load_config(placement.config, one)))
     return FoundRig(begun.start, begun.pairing_rig, mount_pose=begun.descent.start)
 
 
@@ -435,7 +381,8 @@ def _by_hand(placement: Placement, _: int | None, *, kind: str) -> FoundRig:
 
 def _hand_search(placement: Placement) -> tuple[PoolRun, Rig | None]:
     """A search that has tried the rigs by hand and nothing else; and the rig that cameras are paired with."""
-    begun = Optimisation.begin(placement.with_config(load_config(placement.config, ["optimiser.search=pool"])))
+    placement = placement.with_config(load_config(placement.config, ["optimiser.search=pool"]))
+    begun = Optimisation.begin(placement, drawing=Drawing())
     assert isinstance(begun.descent, PoolRun)
     begun.descent.try_by_hand()
     return begun.descent, begun.pairing_rig
@@ -451,7 +398,7 @@ def _cma_by_hand(placement: Placement, camera_renders_max: int | None) -> FoundR
         return np.fromiter(values_of(rigs), np.float64, len(rigs))
 
     left = _budget(placement, camera_renders_max) - search.camera_renders
-    found = _searched(placement, left, search=lambda *_: partial(cma_es_around, start=rig, values_on=values_on))
+    found = _searched(placement, left, search=lambda *_: partial(cma_es, start=rig, values_on=values_on))
     return replace(found, camera_renders=found.camera_renders + search.camera_renders)
 
 
@@ -580,7 +527,6 @@ METHODS = {
     "as_configured": Method(lambda placement, _: _optimised(placement, None), starts=True, holds=True, is_arm=False),
     "pool_only": Method(partial(_pooled, only="pool"), starts=True, holds=True),
     "descent_by_hand": Method(partial(_pooled, only="by_hand"), is_seeded=False),
-    "descent_only": Method(_descent_only, starts=True, holds=True),
     "start": Method(_start, starts=True, holds=True),
     "random_rig": Method(_random_rig, holds=True),
     "highest": Method(partial(_practice, pose_of=highest_mount_pose), holds=True, is_seeded=False),
@@ -598,7 +544,6 @@ METHODS = {
     "sobol_selected": Method(partial(_searched, search=partial(_selected, draw=sobol_rigs)), holds=True),
     "cma": Method(partial(_searched, search=lambda *_: cma_es), holds=True),
     "cma_by_hand": Method(_cma_by_hand),
-    "differential_evolution": Method(partial(_searched, search=lambda *_: differential_evolution), holds=True),
     "greedy_cover": Method(partial(_searched, search=_greedy)),
 }
 """How a rig can be found, by name; the presets' names are methods as well."""

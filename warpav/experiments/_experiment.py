@@ -59,12 +59,12 @@ from warpav.runs import (
     placement_on,
     prepare_scenes,
     recordings_digest,
+    rule_margins,
     same_scenes,
     scene_part,
     traffic_fleet_digest,
 )
 from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
-from warpav.sight import RuleCheck
 
 _Task = TypeVar("_Task")
 
@@ -225,13 +225,14 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
             "constraint_violation_m": evaluation.objective.constraints.violation_m(found.rig),
         }
-    margins = RuleCheck(found.rig, evaluation.ego).margins
+    ruled = evaluation.with_config(load_config(evaluation.config, ["rules=default"]))
+    margins = (rule_margins({"rig": found.rig}, ruled) or {"rig": []})["rig"]
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
         **tested,
         "rules_broken": [each.rule for each in margins if not each.is_kept],
-        "near_ground_m": next(each.value for each in margins if each.rule == "near_ground"),
+        "near_ground_m": next((each.value for each in margins if each.rule == "near_ground"), None),
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
         "method": task.arm.method,
         "overrides": list(task.arm.overrides),

@@ -8,7 +8,6 @@ together (BCa), and rows of runs alone cannot give them again.
 from __future__ import annotations
 
 import csv
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -68,7 +67,7 @@ _ARM_COLUMNS = {
 _COMPARED = {"misses_at_equal_false_alarms": 1.0, "objective": 100.0}
 """What is compared with the reference, per 100 road users: the detector's misses where there are any."""
 _MISSED = "misses_at_equal_false_alarms"
-_BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built"}
+_BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built", "roof_edge"}
 _PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
 _OBJECTIVE_COLUMNS = ("objective", "objective_seen")
 """Shown only where no detector judged."""
@@ -248,25 +247,32 @@ def _settings(rows: Sequence[_Row], *shown: str) -> Table:
         arms = _runs(rows, study, OWN_JUDGE)
         missed = {arm: _mean(runs, _MISSED, 1.0, 1) for arm, runs in arms.items()}
         hand = _best_by_hand(arms)
-        near = " / ".join(_near(arms[arm]) for arm in (hand, "default"))
         name = ", ".join(_PARTS.get(part, part) for part in study.removeprefix("rivals_").split("_"))
+        others = (missed.get(arm, "") for arm in ("without_rules", "random_selected", "highest_raised"))
         fewer = _difference(rows, study, OWN_JUDGE, hand)
-        raised = missed.get("highest_raised", "")
-        lines.append(
-            [name, f"{missed[hand]} ({hand})", missed["default"], fewer, missed["without_rules"], near, raised]
-        )
-    heads = ["best by hand", "warpav", "fewer [95 %]", "without rules", "ground seen from [m]", "by hand, 25 cm higher"]
-    return Table.of(["traffic, cameras, mount", *heads], lines)
+        near = " / ".join(filter(None, (_near(arms[arm]) for arm in (hand, "default"))))
+        lines.append([name, f"{missed[hand]} ({hand})", missed["default"], fewer, *others, near])
+    heads = [
+        "best by hand",
+        "warpav",
+        "fewer [95 %]",
+        "without rules",
+        "random cameras, selected",
+        "by hand, 25 cm higher",
+    ]
+    table = ["traffic, cameras, mount", *heads, "ground seen from [m]"]
+    kept = [k for k in range(len(table)) if any(line[k] for line in lines)]
+    return Table.of([table[k] for k in kept], [[line[k] for k in kept] for line in lines])
 
 
 def _near(runs: Sequence[_Row]) -> str:
     """From how far off the body on the ground is seen all round [m], the median of runs."""
-    near_m = float(np.median(_values(runs, "near_ground_m")))
-    return f"{near_m:g}" if math.isfinite(near_m) else "nowhere"
+    near_m = _values(runs, "near_ground_m")
+    return "" if not near_m else f"{np.median(near_m):g}".replace("inf", "nowhere")
 
 
 def _rival_studies(rows: Sequence[_Row]) -> list[str]:
-    return list(dict.fromkeys(row["study"] for row in rows if row["study"].startswith("rivals_")))
+    return list(dict.fromkeys(row["study"] for row in rows if row["arm"] in ("edge", "roof_edge")))
 
 
 def _rivals(rows: Sequence[_Row], *studies: str) -> Table:
@@ -281,15 +287,21 @@ def _rivals(rows: Sequence[_Row], *studies: str) -> Table:
 
 
 def _networks(rows: Sequence[_Row]) -> Table:
-    """How many fewer the search misses than the best rig by hand, by networks that no search knew."""
+    """What networks that no search knew miss: of the search, of the best rig by hand, and how many fewer it is."""
     studies = _rival_studies(rows)
-    judges = dict.fromkeys(row["judge"] for row in rows if row["study"] in studies and row["judge"] != OWN_JUDGE)
-    lines = []
-    for study in studies:
-        found = {judge: _runs(rows, study, judge) for judge in judges}
-        cells = (runs and _difference(rows, study, judge, _best_by_hand(runs)) for judge, runs in found.items())
-        lines.append([study.removeprefix("rivals_"), *(cell or "" for cell in cells)])
-    return Table.of(["setting", *judges], lines)
+    judges = list(dict.fromkeys(row["judge"] for row in rows if row["study"] in studies and row["judge"] != OWN_JUDGE))
+
+    def cell(study: str, judge: str) -> str:
+        arms = _runs(rows, study, judge)
+        if not arms:
+            return ""
+        hand = _best_by_hand(arms)
+        missed = " / ".join(_mean(arms[arm], _MISSED, 1.0, 1) for arm in ("default", hand))
+        fewer = _difference(rows, study, judge, hand)
+        return f"{missed}: {fewer}" if fewer else missed
+
+    lines = [[study.removeprefix("rivals_"), *(cell(study, judge) for judge in judges)] for study in studies]
+    return Table.of(["setting", *judges], [line for line in lines if any(line[1:])])
 
 
 def _thesis(rows: Sequence[_Row], number: str, study: str, judge: str = OWN_JUDGE) -> Table:

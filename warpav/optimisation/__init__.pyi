@@ -36,9 +36,6 @@ from warpav.optimisation._objective import Evaluation as Evaluation
 from warpav.optimisation._objective import ObjectiveOptions as ObjectiveOptions
 from warpav.optimisation._objective import RigObjective as RigObjective
 from warpav.optimisation._objective import single_cameras_of as single_cameras_of
-from warpav.optimisation._polish import PolishSteps as PolishSteps
-from warpav.optimisation._polish import PolishTask as PolishTask
-from warpav.optimisation._polish import polish as polish
 from warpav.optimisation._pool import CameraPool as CameraPool
 from warpav.optimisation._pool import Drawing as Drawing
 from warpav.optimisation._pool import pool_cache_folder as pool_cache_folder
@@ -63,9 +60,7 @@ from warpav.optimisation._rig_limits import RigLimits as RigLimits
 from warpav.optimisation._rig_limits import range_text as range_text
 from warpav.optimisation._rivals import Draw as Draw
 from warpav.optimisation._rivals import cma_es as cma_es
-from warpav.optimisation._rivals import cma_es_around as cma_es_around
 from warpav.optimisation._rivals import detections_of as detections_of
-from warpav.optimisation._rivals import differential_evolution as differential_evolution
 from warpav.optimisation._rivals import greedy_cover as greedy_cover
 from warpav.optimisation._rivals import random_rigs as random_rigs
 from warpav.optimisation._rivals import random_search as random_search

@@ -102,94 +102,46 @@ def selected_search(
     on_selection(selection)
 
 
-def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> None:
-    """SciPy's differential evolution by whole generations, every trial moved to the nearest feasible rig.
-
-    There is no final polish. The population is an eighth of the rigs that the budget allows, from 5 to 15 for each free
-    number, so that even a small budget lets it evolve.
-    """
-    from scipy.optimize import differential_evolution as evolve
-    from scipy.stats import qmc
-
-    space = value.space
-    failure: list[Exception] = []
-
-    def values_of(units: np.ndarray) -> np.ndarray:
-        try:
-            return value.of_rigs([space.pose_of(unit) for unit in units.T])
-        except Exception as error:  # SciPy would dress up some of them as errors of its own
-            failure.append(error)
-            raise _Stopped from None
-
-    population = max(5, min(15 * space.size, value.rigs_left // 8))
-    first = qmc.Sobol(space.size, scramble=True, rng=rng).random_base2(math.ceil(math.log2(population)))[:population]
-    bounds = [(0.0, 1.0)] * space.size
-    try:  # it never converges: the end of the budget ends it
-        evolve(
-            values_of,
-            bounds,
-            init=first,  # pyright: ignore[reportArgumentType]  (an array is as good as a name)
-            maxiter=10**9,
-            tol=0.0,
-            atol=-1,
-            polish=False,
-            rng=rng,
-            vectorized=True,
-            updating="deferred",
-        )
-    except _Stopped:
-        raise failure[0] from None
-
-
-class _Stopped(Exception):  # noqa: N818 (it ends a loop of SciPy's and is no error)
-    """The evaluation of a rig raised; what it raised is kept aside."""
-
-
-def cma_es(value: BudgetedValue, rng: np.random.Generator) -> None:
+def cma_es(
+    value: BudgetedValue,
+    rng: np.random.Generator,
+    *,
+    start: np.ndarray | None = None,
+    values_on: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> None:
     """CMA-ES with restarts, each with twice the population of the one before, until the budget is spent.
 
     A sample has the value of the nearest feasible rig. What CMA-ES learns from has a penalty on top, so that samples do
     not drift away from the rigs: the spread of the generation's values (its interquartile range), times the squared
     distance that the projection moved the sample, in standard deviations, mean over the numbers.
-    """
-    space = value.space
-    if space.size < 2:
-        raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
-    population = 4 + int(3.0 * math.log(space.size))
-    while value.rigs_left:
-        poses = random_rigs(space, population, rng)
-        first = space.unit_of(poses[int(np.argmin(value.of_rigs(poses)))])
-        evolution = _evolution(first, _FIRST_STEP, population, rng)
-        while not evolution.stop():
-            _generation(evolution, space, value.of_rigs)
-        population *= 2
 
-
-def cma_es_around(
-    value: BudgetedValue,
-    rng: np.random.Generator,
-    *,
-    start: np.ndarray,
-    values_on: Callable[[np.ndarray, np.ndarray], np.ndarray],
-) -> None:
-    """CMA-ES around a rig, each generation on a few scenes of its own, so that a budget buys many rigs.
-
-    The mean is looked at on all scenes now and then; the best of these looks and the start is the result.
-    ``values_on`` gives values of rigs, float32 [rig, camera, 7], on some scenes, int [scene].
+    Around a ``start`` [camera, 7] each generation sees a few scenes of its own, so that a budget buys many rigs; the
+    mean is looked at on all scenes now and then, and the best of these looks is the result. ``values_on`` gives values
+    of rigs, float32 [rig, camera, 7], on some scenes, int [scene].
     """
     space, count = value.space, min(_SCENES_AT_ONCE, value.scene_count)
+    if space.size < 2:
+        raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
 
     def on_some(poses: Sequence[np.ndarray]) -> np.ndarray:
+        assert values_on is not None
         value.spend(len(poses) * space.camera_count * count)
         return values_on(np.array(poses, np.float32), rng.choice(value.scene_count, count, replace=False))
 
-    value(start)
-    while True:
-        evolution = _evolution(space.unit_of(start), _NEAR_STEP, 4 + int(3.0 * math.log(space.size)), rng)
+    population = 4 + int(3.0 * math.log(space.size))
+    while value.rigs_left:
+        if start is None:
+            poses = random_rigs(space, population, rng)
+            first, step = poses[int(np.argmin(value.of_rigs(poses)))], _FIRST_STEP
+        else:
+            value(start)
+            first, step = start, _NEAR_STEP
+        evolution = _evolution(space.unit_of(first), step, population, rng)
         while not evolution.stop():
-            for _ in range(_MEAN_EVERY):
-                _generation(evolution, space, on_some)
-            value(space.pose_of(np.asarray(evolution.mean)))
+            _generation(evolution, space, value.of_rigs if values_on is None else on_some)
+            if values_on is not None and evolution.countiter % _MEAN_EVERY == 0:
+                value(space.pose_of(np.asarray(evolution.mean)))
+        population *= 2
 
 
 def _evolution(first: np.ndarray, step: float, population: int, rng: np.random.Generator) -> Any:  # noqa: ANN401

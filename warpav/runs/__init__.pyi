@@ -13,6 +13,7 @@ from warpav.runs._evaluate import check_rig as check_rig
 from warpav.runs._evaluate import evaluate as evaluate
 from warpav.runs._evaluate import highest_rig as highest_rig
 from warpav.runs._evaluate import random_rig as random_rig
+from warpav.runs._evaluate import rule_margins as rule_margins
 from warpav.runs._events import trajectory as trajectory
 from warpav.runs._front import FRONT_FILE as FRONT_FILE
 from warpav.runs._front import front as front
