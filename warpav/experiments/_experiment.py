@@ -217,22 +217,24 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
         found = replace(found, mount_pose=evaluation.mount.mount_pose_of_rig(found.rig))
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
+    tested: dict[str, Any]
     if task.judge != "objective":
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
-        tested: dict[str, Any] = {"metrics": metrics_of(seen, evaluation.objective).to_json()}
+        tested = {"metrics": metrics_of(seen, evaluation.objective).to_json()}
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
             "constraint_violation_m": evaluation.objective.constraints.violation_m(found.rig),
         }
-    ruled = evaluation.with_config(load_config(evaluation.config, ["rules=default"]))
-    margins = (rule_margins({"rig": found.rig}, ruled) or {"rig": []})["rig"]
+    if evaluation.objective.is_by_single_cameras:
+        ruled = evaluation.with_config(load_config(evaluation.config, ["optimiser.search=pool", "rules=default"]))
+        margins = {each.rule: each for each in (rule_margins({"rig": found.rig}, ruled) or {})["rig"]}
+        tested["rules_broken"] = [name for name, each in margins.items() if not each.is_kept]
+        tested["near_ground_m"] = margins["near_ground"].value
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
         **tested,
-        "rules_broken": [each.rule for each in margins if not each.is_kept],
-        "near_ground_m": next((each.value for each in margins if each.rule == "near_ground"), None),
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
         "method": task.arm.method,
         "overrides": list(task.arm.overrides),

@@ -311,17 +311,12 @@ class PoolSearch:
             self.try_by_hand()
         if self.rules is not None:
             self._settle_rules(self.rules)
-            if start is not None and not self.task.starts_by_hand:
-                yield from self._offered(start, first)
-        self._todo = [("improve",)]
-        if self.task.starts_by_hand:
-            best, others = self._best_by_hand()
-            if start is not None:
-                yield from self._offered(start, first)
-            self._todo = [("improve", [rig.tolist() for rig in best[:_POLISHED_BY_HAND]])]
-            if not self.settings.selects:
-                polishes = [("polish", rig.tolist(), *_WHOLE_POLISH) for rig in (*best, *others)]
-                self._todo = [*polishes, ("note",), ("settle",)]
+        by_hand = self._best_by_hand()
+        if start is not None and (self.rules is not None or self.task.starts_by_hand):
+            yield from self._offered(start, first)
+        self._todo = [("improve", by_hand[:_POLISHED_BY_HAND])]
+        if not self.settings.selects:
+            self._todo = [*(("polish", rig, *_WHOLE_POLISH) for rig in by_hand), ("note",), ("settle",)]
 
     def _offered(self, start: np.ndarray, rows: np.ndarray) -> Iterator[Found]:
         """The start as the first rig, where it keeps what rigs must keep, unless there is one already."""
@@ -347,19 +342,16 @@ class PoolSearch:
             self._progress.say(f"{'by hand':<12} objective {found[0].value:.4f}  {found[0]}")
         self.hand_rigs = [replace(each, mount_pose=self.assembly.rig(each.mount_pose)) for each in found]
 
-    def _best_by_hand(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Those that keep the rules, and whose cameras stand apart: the best of every kind, then the others."""
-        kept, others = dict[str, np.ndarray](), list[np.ndarray]()
+    def _best_by_hand(self) -> list[list[list[float]]]:
+        """Of every kind the best of those rigs that keeps the rules, and whose cameras stand apart."""
+        kept = dict[str, list[list[float]]]()
         for each in self.hand_rigs:
-            rig = each.mount_pose
-            if each.value == np.inf or too_near(rig, self.constraints).nnz or not self._keeps_rules(rig):
+            rig, is_known = each.mount_pose, each.name in kept
+            if is_known or each.value == np.inf or too_near(rig, self.constraints).nnz or not self._keeps_rules(rig):
                 continue
-            if each.name in kept:
-                others.append(rig)
-                continue
-            kept[each.name] = rig
+            kept[each.name] = rig.tolist()
             self._is_better(rig, each.value)
-        return list(kept.values()), others
+        return list(kept.values())
 
     def _value_of(self, rig: np.ndarray) -> float:
         """The objective of a rig of the pool, float32 [camera, 7]."""

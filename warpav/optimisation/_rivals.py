@@ -30,8 +30,7 @@ _FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
 
 _NEAR_STEP, _SCENES_AT_ONCE, _MEAN_EVERY = 0.05, 5, 10
-"""First standard deviation of CMA-ES around a rig, scenes that each generation is tried on, and generations between two
-looks at the mean on all scenes."""
+"""First standard deviation of CMA-ES around a rig, scenes a generation, generations between looks at all scenes."""
 
 _SEEN_SHARE = 0.9
 """Assumed probability that a camera detects an object that the detector once found in its image."""
