@@ -129,11 +129,11 @@ def test_only_thin_methods_are_exempt(graph, line):
 
 
 MOST_LINES = {
-    "warpav/cli": 1_605,
+    "warpav/cli": 1_594,
     "warpav/core": 2_156,
     "warpav/detection": 4_600,
-    "warpav/experiments": 3_554,
-    "warpav/optimisation": 11_355,
+    "warpav/experiments": 3_548,
+    "warpav/optimisation": 11_347,
     "warpav/raster": 3_764,
     "warpav/rig": 5_504,
     "warpav/runs": 11_746,
@@ -142,10 +142,10 @@ MOST_LINES = {
     "warpav/thesis": 1_172,
     "warpav/view": 7_768,
     "kernels/warpav_kernels": 7_393,
-    "tests": 46_423,
+    "tests": 46_421,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 332, 918, 289_600, 812, 9
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 332, 915, 289_600, 812, 9
 
 
 def lines_below(folder):
