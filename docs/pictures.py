@@ -406,6 +406,38 @@ def draw_traffic(folder: Path) -> None:
     )
 
 
+def draw_places(folder: Path) -> None:
+    """places: what rigs miss in other streets that were chosen on few or many, from the rows of ``results.csv``."""
+    import matplotlib.pyplot as plt
+
+    from warpav.experiments import read_rows
+
+    rows = [row for row in read_rows(PICTURES.parent / "results.csv") if row["study"] == "places" and row["seed"]]
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.4), sharey=True, layout="constrained")
+    for axis, first, label in zip(axes, ("streets", "scenes"), (_STREETS, _MOMENTS), strict=True):
+        missed: dict[int, list[float]] = {}
+        for row in rows:
+            kind, number = row["arm"].split("_")
+            count = {"scenes": 6, "streets": 8}[first] if row["arm"] == "streets_8" else int(number)
+            if kind == first or row["arm"] == "streets_8":
+                missed.setdefault(count, []).append(float(row["misses_at_equal_false_alarms"]))
+        counts = sorted(missed)
+        for count in counts:
+            axis.plot([count] * len(missed[count]), missed[count], "o", color="tab:blue", alpha=0.4)
+        axis.plot(counts, [np.mean(missed[count]) for count in counts], "_-", color="black", markersize=14)
+        axis.set_xscale("log", base=2)
+        axis.set_xticks(counts, [str(count) for count in counts])
+        axis.minorticks_off()
+        axis.set_xlabel(label)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("missed of 100 vehicles\nat half a false alarm an image")
+    figure.savefig(folder / "places.png", dpi=110)
+    plt.close(figure)
+
+
+_STREETS = "streets that 48 scenes show (a dot: a draw of streets)"
+_MOMENTS = "scenes of each of 8 streets"
+
 DRAWN: dict[str, Callable[[Path], None]] = {
     "rig": draw_run,
     "ground": draw_run,
@@ -415,6 +447,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "sheet": draw_sheet,
     "mount_drawing": draw_mount_drawing,
     **{f"plot_{kind}": draw_fitting for kind in FITTING},
+    "places": draw_places,
     "vehicle": draw_vehicle,
     "front": draw_front,
     "zones": draw_zones,

@@ -523,7 +523,6 @@ def _budget(placement: Placement, camera_renders_max: int | None) -> int:
 
 METHODS = {
     "optimiser": Method(_optimised, starts=True, holds=True, is_arm=False),
-    # with its own number of steps
     "as_configured": Method(lambda placement, _: _optimised(placement, None), starts=True, holds=True, is_arm=False),
     "pool_only": Method(partial(_pooled, only="pool"), starts=True, holds=True),
     "descent_by_hand": Method(partial(_pooled, only="by_hand"), is_seeded=False),
@@ -536,10 +535,8 @@ METHODS = {
     "cross": Method(partial(_by_hand, kind="cross"), is_seeded=False),
     "nuscenes_layout": Method(partial(_by_hand, kind="nuscenes"), is_seeded=False),
     "random_batches": Method(_random_batches),
-    # random directions would only weaken the baselines: these two keep those of the segregation
     "random": Method(partial(_searched, search=lambda *_: random_search, free_yaw=False), holds=True),
     "sobol": Method(partial(_searched, search=lambda *_: sobol_search, free_yaw=False), holds=True),
-    # a pool of few directions would be a weak one
     "random_selected": Method(partial(_searched, search=partial(_selected, draw=random_rigs)), holds=True),
     "sobol_selected": Method(partial(_searched, search=partial(_selected, draw=sobol_rigs)), holds=True),
     "cma": Method(partial(_searched, search=lambda *_: cma_es), holds=True),

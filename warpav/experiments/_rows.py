@@ -60,7 +60,6 @@ _ARM_COLUMNS = {
     "AP50": ("ap50", 100.0, 1),
     "rules broken": ("rules_broken", 1.0, 1),
     "on the scenes of the search": ("objective_seen", 100.0, 2),
-    "above the bound": ("gap", 100.0, 2),
     "renders": ("camera_renders", 1.0, 0),
     "search [s]": ("search_seconds", 1.0, 1),
 }
@@ -93,20 +92,24 @@ def rows_of(
     *,
     resamples: int = RESAMPLES,
 ) -> list[_Row]:
-    """The rows of a study's results, by arm: every run, and differences from the arms of reference."""
-    rows = [row for runs in results.values() for run in runs for row in _run_rows(run, study, judge)]
-    for arm, reference in references.items():
-        ours, theirs = results.get(arm), results.get(reference)
-        if not ours or not theirs:
+    """Every run of a study, by arm, those of ``streets_4_draw_2`` as ``streets_4``, and differences from references."""
+    joined: dict[str, list[Mapping[str, Any]]] = {}
+    for name, runs in results.items():
+        arm, _, draw = name.partition("_draw_")
+        joined.setdefault(arm, []).extend({**run, "arm": arm, "seed": draw or run["seed"]} for run in runs)
+    rows = [row for runs in joined.values() for run in runs for row in _run_rows(run, study, judge)]
+    for arm, reference in dict.fromkeys(tuple(n.partition("_draw_")[0] for n in pair) for pair in references.items()):
+        ours, theirs = joined.get(arm), joined.get(reference)
+        if not ours or not theirs or arm == reference:
             continue
         for of, scale in _COMPARED.items():
             one, other = _of_scenes(ours, of), _of_scenes(theirs, of)
             if one is None or other is None:
                 continue
             found = paired_difference(one, other, weight=ours[0]["objects_of_scene"], resamples=resamples)
-            ends = {"more": found.mean, "low": found.low, "high": found.high}
+            ends = {"more": found.mean, "low": found.low, "high": found.high}.items()
             which = {"study": study, "judge": judge, "arm": arm, "of": of, "reference": reference}
-            rows.append({**which, **{name: _text(end, scale) for name, end in ends.items()}})
+            rows.append({**which, **{name: _text(end, scale) for name, end in ends}})
             break
     return rows
 
