@@ -102,8 +102,9 @@ def test_what_a_town_is_not_made_with_does_not_matter(copied_code, file):
 
 
 @pytest.fixture
-def folder(tmp_path):
-    """Three files of 100 bytes: one used long ago, one ten minutes ago, one now."""
+def folder(tmp_path, monkeypatch):
+    """Three files of 100 bytes on a disk with room: one used long ago, one ten minutes ago, one now."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(total=1000, used=0, free=1000))
     for name, age_s in (("old", 2.0 * module._IN_USE_S), ("used", 600.0), ("new", 0.0)):
         (tmp_path / name).write_bytes(bytes(100))
         os.utime(tmp_path / name, (time.time() - age_s,) * 2)
