@@ -254,7 +254,7 @@ def _settings(rows: Sequence[_Row], *shown: str) -> Table:
         others = (missed.get(arm, "") for arm in ("without_rules", "random_selected", "highest_raised"))
         fewer = _difference(rows, study, OWN_JUDGE, hand)
         near = " / ".join(filter(None, (_near(arms[arm]) for arm in (hand, "default"))))
-        lines.append([name, f"{missed[hand]} ({hand})", missed["default"], fewer, *others, near])
+        lines.append([name, f"{missed[hand]} ({hand.replace('_', '-')})", missed["default"], fewer, *others, near])
     heads = [
         "best by hand",
         "warpav",
