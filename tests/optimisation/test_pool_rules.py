@@ -113,6 +113,7 @@ def test_margins_are_kept_where_rules_are_and_their_slopes_are_those_of_differen
 
 def test_a_search_ends_with_a_rig_that_keeps_the_rules(monkeypatch):
     monkeypatch.setattr(pool_search, "_PRICE", 10.0)
+    monkeypatch.setattr(pool_search, "_LOOSER_GAP_PRICE", 10.0)
     rules = Rules(own_body=0.35, housing=0.004, azimuth_gap_rad=math.radians(3.0))
     ends = {}
     for name, kept in (("none", None), ("rules", rules)):

@@ -65,8 +65,8 @@ _NEAR_CAMERAS = 16
 """Cameras that are drawn around each of the rig's at a time."""
 _REFINED_FROM, _REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
-_PRICE = 0.01
-"""Share of the objective that the rules of gap and near ground together may cost; beyond it they are loosened."""
+_PRICE, _LOOSER_GAP_PRICE = 0.01, 0.0025
+"""Shares of the objective that the rules of gap and near ground together may cost; and a gap wider than asked for."""
 _POLISHED_BY_HAND = 3
 """Rigs by hand that are polished."""
 _SAME = 1e-6  # the polish and the pool round differently
@@ -374,21 +374,20 @@ class PoolSearch:
             rules.near_level, _ = self._kept_level("near_level", list(range(len(NEAR_M))), known)
 
     def _kept_level(self, name: str, levels: list[int], known: list[_Known]) -> tuple[int | None, float]:
-        """The strictest level of a rule, of ever looser ones, that costs at most `_PRICE` of the objective.
+        """The strictest level of a rule, of ever looser ones, that costs at most a share of the objective.
 
         Nor more than the lead over the best rig by hand. None: no rule. And the share that the first would cost,
         infinite where no rig keeps it. ``known``: rigs that were selected, the first without such rules; others join.
         """
-        free = known[0][1]
-        first = self._selected_at(name, levels[0], known)
-        price, most = first / max(free, _SAME) - 1.0, (1.0 + _PRICE) * free
-        most = min([most, *(max(each.value, free) for each in self.hand_rigs[:1])])
-        low, high = 0 if first <= most else 1, 0 if first <= most else len(levels)
+        free, first = known[0][1], self._selected_at(name, levels[0], known)
+        lead = max(self.hand_rigs[0].value - free, 0.0) if self.hand_rigs else np.inf
+        low, high = (0, 0) if first <= free + min(_PRICE * free, lead) else (1, len(levels))
+        most = free + min((_LOOSER_GAP_PRICE if name == "gap_steps" else _PRICE) * free, lead)
         while low < high:
             middle = (low + high) // 2
             is_kept = self._selected_at(name, levels[middle], known, enough=most) <= most
             low, high = (low, middle) if is_kept else (middle + 1, high)
-        return levels[low] if low < len(levels) else None, price
+        return levels[low] if low < len(levels) else None, first / max(free, _SAME) - 1.0
 
     def _selected_at(self, name: str, level: int | None, known: list[_Known], enough: float = -np.inf) -> float:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it.
