@@ -48,6 +48,7 @@ def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
     # the longest first, as the others then fill the time of the cores that are done
     found = [warp.get_module(name) for name in sorted(sizes, key=lambda name: -sizes[name])]
     modules = [module for module in found if module.kernels]
+    _ = warp.get_device(device).context  # Warp makes it on first use, and two threads must not be the first at once
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(warp.force_load, device, modules, max_workers=available_cores())
         yield
