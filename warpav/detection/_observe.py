@@ -213,10 +213,12 @@ def observe(
     """
     if image is None:
         image = frame.colours(views=forward_view)
-    is_body = object_index_of(frame.object_id.numpy()[list(forward_view)]) == EGO
-    found = detections_in(network_input_of([image], detector), detector)
+    with ThreadPoolExecutor(1) as beside:
+        finding = beside.submit(detections_in, network_input_of([image], detector), detector)
+        is_body = object_index_of(frame.object_id.numpy()[list(forward_view)]) == EGO
+        visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
+        found = finding.result()
     detections = [_off_the_body(each, mask) for each, mask in zip(found, is_body, strict=True)]
-    visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
     may = visible.may_match(detections)
     match = _matched(visible.truth_box_px, detections, may, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match, may)

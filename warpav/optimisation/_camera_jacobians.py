@@ -69,12 +69,13 @@ class CameraJacobians:
         return self._differentiated(shown, np.concatenate(position_m)[: len(pose)], slope)
 
     def _views_of(self, count: int) -> _Views:
-        """Views of at least so many cameras; a GPU keeps them, for what it has recorded."""
-        if not wp.get_device(self.mount.device).is_cuda:
-            return _Views(self.mount, self._renderers_for(count), self._pane)
+        """Views of at least so many cameras; a GPU keeps all, for what it has recorded, and a CPU the last."""
+        is_cuda = wp.get_device(self.mount.device).is_cuda
         # recording a scene takes longer than rendering views that nobody asked for
-        count = 1 << (count - 1).bit_length()
+        count = 1 << (count - 1).bit_length() if is_cuda else count
         if count not in self._views:
+            if not is_cuda:
+                self._views.clear()
             self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
         return self._views[count]
 
@@ -125,6 +126,7 @@ class _Views:
         self._pose = wp.zeros((self.count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
         self.placed = PlacedViews.zeros(self._pose, 1)  # their poses, always in the same arrays
         self._recorded: WeakKeyDictionary[DeviceScene, _Recorded] = WeakKeyDictionary()
+        self._rooms: WeakKeyDictionary[DeviceScene, _Room] = WeakKeyDictionary()
         is_cuda = renderers[0].device.is_cuda
         self._streams = [wp.Stream(renderer.device) for renderer in renderers] if is_cuda else []
 
@@ -136,7 +138,9 @@ class _Views:
             return self._replayed(scenes)
 
         def drawn(scene: DeviceScene, renderer: Renderer) -> _Shown:
-            room = _Room(renderer, scene)
+            if scene not in self._rooms:
+                self._rooms[scene] = _Room(renderer, scene)
+            room = self._rooms[scene]
             _draw(renderer, scene, room, self.placed, self._pane)
             return room.shown()
 

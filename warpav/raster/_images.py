@@ -112,6 +112,7 @@ def flow_of_silhouettes(buffers: Buffers, scene: Scene, silhouette: wp.array, ki
 
 def _flows(buffers: Buffers, shown: wp.array) -> wp.array:
     """Room for what flows through each image."""
+    wp.load_module(image_flow, device=buffers.device)  # few programs need it; before threads launch
     shape = (len(shown), 1, 1, math.prod(buffers.flow_lanes))
     return buffers.kept("image derivative", shape, kernels.BoundaryDerivative)
 

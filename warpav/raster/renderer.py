@@ -16,7 +16,7 @@ from warpav.raster.frame import Frame
 from warpav.raster.poses import view_poses
 from warpav.raster.scene import Scene
 from warpav_kernels import raster as kernels
-from warpav_kernels.raster import coverage, extent, hide, image_flow, window
+from warpav_kernels.raster import coverage, extent, hide, window
 
 
 class Renderer(Buffers):
@@ -48,7 +48,7 @@ class Renderer(Buffers):
         drawing = (kernels.place_views_kernel, kernels.place_layers_kernel, kernels.scatter_triangles_kernel)
         for kernel in (*drawing, kernels.measure_areas_kernel, kernels.resolve_depth_kernel):
             wp.load_module(kernel.module, device=self.device)  # pyright: ignore[reportFunctionMemberAccess]
-        for module in (hide, coverage, extent, window, image_flow):
+        for module in (hide, coverage, extent, window):
             wp.load_module(module, device=self.device)
 
     def render(

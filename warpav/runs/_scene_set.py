@@ -63,7 +63,10 @@ if TYPE_CHECKING:
 _VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
 
-_RARE_KERNELS = ("experiments", "thesis", "raster.trace", "reconstruction")
+_RARE_KERNELS = (
+    *("experiments", "thesis", "reconstruction", "placement.constraint", "placement.exchange", "placement.lagrangian"),
+    *("raster._bent", "raster._ray", "raster._trace", "raster.calibration", "raster.image_flow"),
+)
 """Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
 _EGO_TOLERANCE_M = 0.2

@@ -675,7 +675,7 @@ def _mean(values: np.ndarray) -> float | None:
 
 
 def attainable_objects(
-    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = 128, drawing: Drawing | None = None
+    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = 64, drawing: Drawing | None = None
 ) -> list[np.ndarray] | None:
     """Which objects of each scene can be found at all, bool [object] each: what stands behind a lorry every rig misses.
 
