@@ -119,8 +119,7 @@ def test_a_search_ends_with_a_rig_that_keeps_the_rules(monkeypatch):
     for name, kept in (("none", None), ("rules", rules)):
         asked = None if kept is None else rules_of(kept)
         task = PoolTask(cameras_of(mount=mount()), streets(), zone_of(mount(), 4), 4, rules=asked)
-        settings = PoolSearchSettings(pool_cameras=40, rounds=1, priced_cameras=2)
-        for found in PoolSearch(task, settings):
+        for found in PoolSearch(task, PoolSearchSettings(pool_cameras=40, rounds=1, priced_cameras=2)):
             if asked is not None:
                 assert asked.keeps(found.mount_pose)
             if found.stage == "settled":

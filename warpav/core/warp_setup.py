@@ -40,12 +40,11 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
 
 @contextlib.contextmanager
 def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
-    """Compile the kernels imported so far while the block does something else; it must not launch them."""
+    """Compile the kernels imported so far, long ones first, while the block does something else, but launch them."""
     warp = load_warp()
     own, left_out = f"{_KERNELS}.", tuple(f"{_KERNELS}.{name}" for name in but)
     names = [name for name in sys.modules if name.startswith(own) and not name.startswith(left_out)]
     sizes = {name: len(Path(file).read_bytes()) for name in names if (file := sys.modules[name].__file__)}
-    # the longest first, as the others then fill the time of the cores that are done
     found = [warp.get_module(name) for name in sorted(sizes, key=lambda name: -sizes[name])]
     modules = [module for module in found if module.kernels]
     _ = warp.get_device(device).context  # Warp makes it on first use, and two threads must not be the first at once

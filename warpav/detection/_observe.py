@@ -17,8 +17,7 @@ from warpav.raster.frame import Frame
 from warpav.scene import EGO, DeviceScene, object_index_of
 from warpav_kernels.detection import network_input as network_input_kernels
 
-_BODY_SHARE = 0.5
-"""Share of a box from which on it is the own body's."""
+_BODY_SHARE = 0.5  # of a box, from which on it is the own body's
 
 
 @dataclass(frozen=True)
@@ -217,8 +216,7 @@ def observe(
         finding = beside.submit(detections_in, network_input_of([image], detector), detector)
         is_body = object_index_of(frame.object_id.numpy()[list(forward_view)]) == EGO
         visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
-        found = finding.result()
-    detections = [_off_the_body(each, mask) for each, mask in zip(found, is_body, strict=True)]
+    detections = [_off_the_body(each, mask) for each, mask in zip(finding.result(), is_body, strict=True)]
     may = visible.may_match(detections)
     match = _matched(visible.truth_box_px, detections, may, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match, may)

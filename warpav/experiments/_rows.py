@@ -66,7 +66,7 @@ _ARM_COLUMNS = {
 _COMPARED = {"misses_at_equal_false_alarms": 1.0, "objective": 100.0}
 """What is compared with the reference, per 100 road users: the detector's misses where there are any."""
 _MISSED = "misses_at_equal_false_alarms"
-_BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built", "roof_edge"}
+_BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built"}
 _PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
 _OBJECTIVE_COLUMNS = ("objective", "objective_seen")
 """Shown only where no detector judged."""
@@ -240,7 +240,7 @@ def _arms(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Table:
 
 
 def _best_by_hand(arms: Mapping[str, list[_Row]]) -> str:
-    return min(arms.keys() & _BY_HAND, key=lambda arm: fmean(_values(arms[arm], _MISSED)))
+    return min((arm for arm in arms if arm in _BY_HAND), key=lambda arm: fmean(_values(arms[arm], _MISSED)))
 
 
 def _settings(rows: Sequence[_Row], *shown: str) -> Table:
@@ -260,8 +260,8 @@ def _settings(rows: Sequence[_Row], *shown: str) -> Table:
         "warpav",
         "fewer [95 %]",
         "without rules",
-        "random cameras, selected",
-        "by hand, 25 cm higher",
+        "random, selected",
+        "25 cm higher",
     ]
     table = ["traffic, cameras, mount", *heads, "ground seen from [m]"]
     kept = [k for k in range(len(table)) if any(line[k] for line in lines)]
@@ -269,13 +269,13 @@ def _settings(rows: Sequence[_Row], *shown: str) -> Table:
 
 
 def _near(runs: Sequence[_Row]) -> str:
-    """From how far off the body on the ground is seen all round [m], the median of runs."""
+    """From how far off the body on the ground is seen all round [m], the median of runs; nothing where nowhere."""
     near_m = _values(runs, "near_ground_m")
-    return "" if not near_m else f"{np.median(near_m):g}".replace("inf", "nowhere")
+    return f"{np.median(near_m):g}" if np.isfinite(near_m).any() else ""
 
 
 def _rival_studies(rows: Sequence[_Row]) -> list[str]:
-    return list(dict.fromkeys(row["study"] for row in rows if row["arm"] in ("edge", "roof_edge")))
+    return list(dict.fromkeys(row["study"] for row in rows if row["arm"] == "edge"))
 
 
 def _rivals(rows: Sequence[_Row], *studies: str) -> Table:

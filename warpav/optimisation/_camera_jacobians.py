@@ -71,8 +71,7 @@ class CameraJacobians:
     def _views_of(self, count: int) -> _Views:
         """Views of at least so many cameras; a GPU keeps all, for what it has recorded, and a CPU the last."""
         is_cuda = wp.get_device(self.mount.device).is_cuda
-        # recording a scene takes longer than rendering views that nobody asked for
-        count = 1 << (count - 1).bit_length() if is_cuda else count
+        count = 1 << (count - 1).bit_length() if is_cuda else count  # recording takes longer than views too many
         if count not in self._views:
             if not is_cuda:
                 self._views.clear()
@@ -138,9 +137,7 @@ class _Views:
             return self._replayed(scenes)
 
         def drawn(scene: DeviceScene, renderer: Renderer) -> _Shown:
-            if scene not in self._rooms:
-                self._rooms[scene] = _Room(renderer, scene)
-            room = self._rooms[scene]
+            room = self._rooms.get(scene) or self._rooms.setdefault(scene, _Room(renderer, scene))
             _draw(renderer, scene, room, self.placed, self._pane)
             return room.shown()
 

@@ -35,7 +35,7 @@ class Renderer(Buffers):
         thread_count: int | None = None,
         foreground_layer: bool = False,
     ) -> None:
-        """Buffers for the given views."""
+        """Buffers for the given views; kernels are loaded before threads launch, so that no two compile the same."""
         super().__init__(
             models,
             supersampling=supersampling,
@@ -44,7 +44,6 @@ class Renderer(Buffers):
             has_foreground=foreground_layer,
         )
         self.occlusion = occlusion
-        # load before threads launch, so that no two of them compile the same module
         drawing = (kernels.place_views_kernel, kernels.place_layers_kernel, kernels.scatter_triangles_kernel)
         for kernel in (*drawing, kernels.measure_areas_kernel, kernels.resolve_depth_kernel):
             wp.load_module(kernel.module, device=self.device)  # pyright: ignore[reportFunctionMemberAccess]

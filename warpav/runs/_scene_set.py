@@ -63,10 +63,7 @@ if TYPE_CHECKING:
 _VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
 
-_RARE_KERNELS = (
-    *("experiments", "thesis", "reconstruction", "placement.constraint", "placement.exchange", "placement.lagrangian"),
-    *("raster._bent", "raster._ray", "raster._trace", "raster.calibration", "raster.image_flow"),
-)
+_RARE_KERNELS = ("experiments", "thesis", "reconstruction", "raster._b", "raster._ray", "raster._tra", "raster.cal")
 """Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
 _EGO_TOLERANCE_M = 0.2
