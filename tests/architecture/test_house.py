@@ -145,7 +145,7 @@ MOST_LINES = {
     "tests": 46_422,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 332, 915, 288_949, 812, 9
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 332, 915, 288_948, 812, 9
 
 
 def lines_below(folder):
