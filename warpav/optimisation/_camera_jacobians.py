@@ -69,14 +69,15 @@ class CameraJacobians:
         return self._differentiated(shown, np.concatenate(position_m)[: len(pose)], slope)
 
     def _views_of(self, count: int) -> _Views:
-        """Views of at least so many cameras; a GPU keeps all, for what it has recorded, and a CPU the last."""
+        """Views of at least so many cameras; a GPU keeps all, for what it has recorded, a CPU the last."""
         is_cuda = wp.get_device(self.mount.device).is_cuda
         count = 1 << (count - 1).bit_length() if is_cuda else count  # recording takes longer than views too many
-        if count not in self._views:
+        known = self._views.get(count)
+        if known is None or not (is_cuda or known.renderers is self._renderers_for(count)):
             if not is_cuda:
                 self._views.clear()
-            self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
-        return self._views[count]
+            known = self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
+        return known
 
     def _differentiated(
         self, shown: _Shown, position_ego_m: np.ndarray, slope: _PlacingSlope
@@ -120,20 +121,19 @@ class _Views:
 
     def __init__(self, mount: CameraMount, renderers: Sequence[Renderer], pane: Pane | None) -> None:
         self._mount, self._pane = mount, pane
-        self._renderers = renderers
+        self.renderers = renderers
         self.count = renderers[0].view_count  # how many
         self._pose = wp.zeros((self.count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
         self.placed = PlacedViews.zeros(self._pose, 1)  # their poses, always in the same arrays
         self._recorded: WeakKeyDictionary[DeviceScene, _Recorded] = WeakKeyDictionary()
         self._rooms: WeakKeyDictionary[DeviceScene, _Room] = WeakKeyDictionary()
-        is_cuda = renderers[0].device.is_cuda
-        self._streams = [wp.Stream(renderer.device) for renderer in renderers] if is_cuda else []
+        self._streams = [wp.Stream(each.device) for each in renderers if each.device.is_cuda]
 
     def shown(self, pose: np.ndarray, scenes: Sequence[DeviceScene]) -> _Shown:
         """What cameras [camera, 7] are shown in some scenes, none of them empty."""
         self._pose.assign(pose)
         self._mount.place(self._pose, 1, into=self.placed)
-        if self._renderers[0].device.is_cuda:
+        if self.renderers[0].device.is_cuda:
             return self._replayed(scenes)
 
         def drawn(scene: DeviceScene, renderer: Renderer) -> _Shown:
@@ -141,7 +141,7 @@ class _Views:
             _draw(renderer, scene, room, self.placed, self._pane)
             return room.shown()
 
-        return _Shown.joined(beside_each_other(drawn, scenes, self._renderers), axis=1)
+        return _Shown.joined(beside_each_other(drawn, scenes, self.renderers), axis=1)
 
     def _replayed(self, scenes: Sequence[DeviceScene]) -> _Shown:
         """The same from recorded launches; the streams, each with a renderer of its own, share the scenes."""
@@ -156,13 +156,13 @@ class _Views:
             for stream in self._streams:
                 wp.wait_stream(stream)
             # recorded launches cannot make room for more samples than there were before
-            grown = [renderer.grew() for renderer in self._renderers]
+            grown = [renderer.grew() for renderer in self.renderers]
             todo = [scene for scene in todo if grown[self._recorded[scene].stream]]
         return _Shown.joined([self._recorded[scene].room.shown() for scene in scenes], axis=1)
 
     def _recording(self, scene: DeviceScene, stream: int) -> _Recorded:
         """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it, and these views not."""
-        renderer, weak, placed, pane = self._renderers[stream], ref(scene), self.placed, self._pane
+        renderer, weak, placed, pane = self.renderers[stream], ref(scene), self.placed, self._pane
         room = _Room(renderer, scene)
 
         def draw() -> None:
