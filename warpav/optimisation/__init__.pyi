@@ -70,6 +70,7 @@ from warpav.optimisation._rivals import sobol_search as sobol_search
 from warpav.optimisation._settings import LOSSES as LOSSES
 from warpav.optimisation._settings import METHOD_LOSSES as METHOD_LOSSES
 from warpav.optimisation._settings import ImportanceSettings as ImportanceSettings
+from warpav.optimisation._settings import LidarSettings as LidarSettings
 from warpav.optimisation._settings import LossSettings as LossSettings
 from warpav.optimisation._settings import OptimiserSettings as OptimiserSettings
 from warpav.optimisation._settings import RobustSettings as RobustSettings
@@ -120,6 +121,7 @@ from warpav.optimisation.losses._loss import Reference as Reference
 from warpav.optimisation.losses._loss import losses_of as losses_of
 from warpav.optimisation.losses._scene_on_tape import AssignedScene as AssignedScene
 from warpav.optimisation.losses._scene_on_tape import CameraProbability as CameraProbability
+from warpav.optimisation.losses._scene_on_tape import ObjectProbability as ObjectProbability
 from warpav.optimisation.losses._scene_on_tape import SceneOnTape as SceneOnTape
 from warpav.optimisation.losses._user_loss import LossFunction as LossFunction
 from warpav.optimisation.losses._user_loss import Objects as Objects

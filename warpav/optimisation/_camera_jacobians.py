@@ -7,6 +7,7 @@ scenes beside each other: a rig of a few cameras does not fill it.
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from weakref import WeakKeyDictionary, ref
 import numpy as np
 import warp as wp
 
-from warpav.detection import whole_solid_angle
+from warpav.detection import LidarProbability, away_from, whole_solid_angle
 from warpav.optimisation._mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.losses._scene_on_tape import CameraProbability
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
@@ -181,6 +182,68 @@ def _draw(renderer: Renderer, scene: DeviceScene, room: _Room, placed: PlacedVie
     measures = frame.measure(into=room.measures)
     frame.window_area(visible=False, into=room.in_frame)
     wp.copy(room.contrast, frame.contrast(measures.value))
+
+
+class LidarJacobians:
+    """The same of LiDARs, whose probabilities follow from the points on each object."""
+
+    def __init__(
+        self,
+        mount: CameraMount,
+        probability: LidarProbability,
+        renderers_for: Callable[[int], Sequence[Renderer]],
+        most_views: int,
+        pane: Pane | None = None,
+    ) -> None:
+        self.mount, self.probability, self._pane = mount, probability, pane
+        self._renderers_for, self._at_once = renderers_for, ViewsAtOnce(most_views)
+
+    def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
+        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
+        peopled = [scene for scene in scenes if scene.vehicle_count > 0]
+        shape = len(pose), sum(scene.vehicle_count for scene in peopled)
+        if not all(shape):
+            return np.zeros(shape), np.zeros((*shape, MOUNT_POSE_SIZE))
+        return self._at_once.run(lambda most: self._of(pose, peopled, most), release=gc.collect)
+
+    def _of(self, pose: np.ndarray, peopled: Sequence[DeviceScene], most: int) -> tuple[np.ndarray, np.ndarray]:
+        chunks = equal_chunks(len(pose), most)
+        renderers = self._renderers_for(len(chunks[0]))
+        for scene in peopled:
+            scene.upright_box  # noqa: B018 (found once, before threads ask for it)
+
+        def drawn(scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, np.ndarray]:
+            parts = [self._drawn(pose[chunk], scene, renderer) for chunk in chunks]
+            value, by_view = (np.concatenate(each)[: len(pose)] for each in zip(*parts, strict=True))
+            return value, by_view
+
+        found = beside_each_other(drawn, peopled, renderers)
+        value, by_view = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
+        return value, placing_slope(self.mount, pose).chained(by_view)
+
+    def _drawn(self, pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, np.ndarray]:
+        """Probabilities in one scene [camera, object], and their slopes to the views [camera, object, 7]."""
+        views = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1)
+        frame = renderer.render(
+            scene.raster.through(self._pane),
+            views.position_ego_m,
+            views.camera_from_ego,
+            log_focal=views.log_zoom,
+            content=Content.MEASURES,
+        )
+        points = self.probability.points(frame)
+        distance_m, by_place = away_from(scene, views.position_ego_m.numpy())
+        leaves = [
+            wp.array(each, dtype=float, device=renderer.device, requires_grad=True)
+            for each in (points.value.numpy(), distance_m)
+        ]
+        with wp.Tape() as tape:
+            _, found = self.probability.of_points(*leaves, scene.road_user_index)
+        tape.backward(grads={found: wp.ones_like(found)})
+        by_points, by_distance = (_gradient_of(each) for each in leaves)
+        by_view = by_points * points.jacobian.numpy()[:, :, 0]
+        by_view[..., :3] += by_distance[..., None] * by_place
+        return found.numpy().astype(np.float64), by_view
 
 
 @dataclass(frozen=True, eq=False)

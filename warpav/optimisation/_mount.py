@@ -213,6 +213,8 @@ class CameraMount:
                 across = int(np.abs(zone.axes[:2, 1]).argmax())
                 middle_m = -float(self.surface.plane_m[number, 1] / zone.axes[across, 1])
                 ranges[(X_M, Y_M)[across]] = middle_m, middle_m
+        if camera.beams is not None and camera.beams.is_all_round:  # it stands level, and its yaw says nothing
+            ranges[YAW_RAD] = ranges[PITCH_RAD] = ranges[ROLL_RAD] = (0.0, 0.0)
         for column, (least, greatest) in ranges.items():
             # rounded inwards, so that single precision is within as well
             low[column], high[column] = least, greatest
@@ -464,12 +466,15 @@ _SECTORS = ("front", "front_left", "left", "rear_left", "rear", "rear_right", "r
 
 
 def named_by_direction(cameras: Sequence[RigCamera]) -> list[RigCamera]:
-    """Cameras named by the eighth of a turn in which they look: ``front_left``, ``rear``.
+    """Cameras named by the eighth of a turn in which they look: ``front_left``, ``rear``; LiDARs so: ``lidar_left``.
 
     Several of one eighth have their field of view behind it where that tells them apart, ``front_30``, else a number
     from the foremost on, ``left_1``.
     """
     sector = [_SECTORS[round(camera.yaw_rad / (math.pi / 4.0)) % 8] for camera in cameras]
+    for k, beams in enumerate(camera.model.beams for camera in cameras):
+        if beams is not None:
+            sector[k] = "lidar" if beams.is_all_round else f"lidar_{sector[k]}"
     field_deg = [round(math.degrees(camera.model.fov_rad)) for camera in cameras]
     names = []
     for k, name in enumerate(sector):

@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from operator import or_
 
@@ -18,6 +18,8 @@ from warpav.detection import (
     Detections,
     Detector,
     DetectorInLoop,
+    LidarCurve,
+    LidarProbability,
     Observation,
     RenderedImage,
     VisibleObjects,
@@ -36,7 +38,12 @@ from warpav.optimisation._single_cameras import SingleCameras
 from warpav.optimisation.losses._expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses._lagrangian import lagrangian_of
 from warpav.optimisation.losses._loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
-from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
+from warpav.optimisation.losses._scene_on_tape import (
+    AssignedScene,
+    CameraProbability,
+    ObjectProbability,
+    SceneOnTape,
+)
 from warpav.optimisation.losses._user_loss import LossFunction, UserLoss
 from warpav.raster.areas import Measures
 from warpav.raster.camera import CameraModel
@@ -82,6 +89,7 @@ class ObjectiveOptions:
     occlusion: Occlusion = Occlusion.PAIRWISE  # what hides a vehicle
     supersampling: int = 1  # samples per pixel along each axis
     multiplier_damping: float = 0.0  # damping of the multipliers, at least 0; 0 as in the thesis
+    lidar: LidarCurve = field(default_factory=LidarCurve)  # how many points it takes to find an object
     cameras_have_bodies: bool = False  # whether the housings of cameras hide things where a rig is judged
 
 
@@ -96,7 +104,7 @@ class RigObjective:
         camera_count: int,
         losses: Sequence[tuple[float, Loss | LossFunction]],
         constraints: Constraints,
-        camera_probability: CameraProbability | Sequence[CameraProbability] | None = None,
+        camera_probability: ObjectProbability | Sequence[ObjectProbability] | None = None,
         importance: Importance | None = None,
         options: ObjectiveOptions | None = None,
     ) -> None:
@@ -107,9 +115,9 @@ class RigObjective:
         self.losses: list[tuple[float, Loss]] = [
             (weight, loss if isinstance(loss, Loss) else UserLoss.of(loss)) for weight, loss in losses if weight != 0.0
         ]
-        given = (camera_probability,) if isinstance(camera_probability, CameraProbability) else camera_probability
-        self._probabilities = tuple(given or ())
-        self._others: dict[CameraModel, CameraProbability] = {}
+        given = camera_probability if isinstance(camera_probability, Sequence) else (camera_probability,)
+        self._probabilities = tuple(each for each in given if each is not None)
+        self._others: dict[CameraModel, ObjectProbability] = {}
         self._check()
         self.constraints = constraints  # where the cameras may stand
         self.camera_count = camera_count  # number of cameras
@@ -121,7 +129,7 @@ class RigObjective:
         self._objective = Objective(
             tuple(loss for _, loss in self.losses if isinstance(loss, DeviceLoss)),
             tuple(loss for _, loss in self.losses if isinstance(loss, HostLoss)),
-            self._probabilities[0] if self.camera_probabilities is not None else None,
+            next((each for each in self.camera_probabilities or () if isinstance(each, CameraProbability)), None),
             importance,
         )
         device_weights = [weight for weight, loss in self.losses if isinstance(loss, DeviceLoss)]
@@ -167,20 +175,20 @@ class RigObjective:
         return self._views_for(self.final_schedule).ahead
 
     @property
-    def camera_probabilities(self) -> tuple[CameraProbability, ...] | None:
+    def camera_probabilities(self) -> tuple[ObjectProbability, ...] | None:
         """How likely a camera of each of the mount's models is to detect; None where no loss needs it."""
         return self._probabilities if self._needs(LossSchedule()).detection_probability else None
 
-    def probability_of(self, model: CameraModel) -> CameraProbability | None:
+    def probability_of(self, model: CameraModel) -> ObjectProbability | None:
         """How likely a camera of a model is to detect; None where no loss needs it, or no model of it was added."""
         found, mount = self.camera_probabilities, self.mount
         if found is None:
             return None
         if not mount.has_model(model):
-            return self._others.get(model)
+            return LidarProbability(model.beams, self.options.lidar) if model.beams else self._others.get(model)
         return found[mount.cameras.index(model)] if mount.is_mixed else found[0]
 
-    def add_camera_model(self, model: CameraModel, probability: CameraProbability) -> None:
+    def add_camera_model(self, model: CameraModel, probability: ObjectProbability) -> None:
         """From now on say of cameras of another model than the mount's how likely they are to detect."""
         self._others[model] = probability
 

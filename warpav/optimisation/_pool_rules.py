@@ -16,7 +16,7 @@ from scipy import sparse
 
 from warpav.core.errors import OptionError
 from warpav.optimisation._camera_jacobians import placing_slope
-from warpav.optimisation._mount import MIRROR, MOUNT_POSE_SIZE
+from warpav.optimisation._mount import LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE
 from warpav.optimisation._single_cameras import SingleCameras
 from warpav.optimisation._tangent_model import Margins
 from warpav.optimisation.selection._problem import Row
@@ -373,6 +373,7 @@ class PoolRules:
 
         value = closed_forms(views, models)
         step = np.float32(_STEP) * np.eye(MOUNT_POSE_SIZE, dtype=np.float32)
+        step[LOG_ZOOM] *= self.cameras.mount.is_free[LOG_ZOOM]  # a panorama all round has no wider field
         moved = pose + np.stack([step, -step], axis=1)[:, :, None]
         ends = closed_forms(*cameras.in_ego(moved.reshape(-1, MOUNT_POSE_SIZE)))
         slope = np.moveaxis(_differences(ends.reshape(MOUNT_POSE_SIZE, 2, *value.shape)), 0, -1)

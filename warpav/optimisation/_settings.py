@@ -71,6 +71,7 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 """Weights of the losses where the configuration says nothing, by method."""
 
 if TYPE_CHECKING:
+    from warpav.detection import LidarCurve
     from warpav.optimisation._camera_loss import RobustObjective
     from warpav.optimisation._mount_errors import MountErrors
     from warpav.sight import Rules
@@ -358,6 +359,24 @@ class RobustSettings(Section):
         """The first option that asks for something; None: nothing is."""
         names = ("camera_loss", "mount_error_m", "mount_error_deg")
         return next((f"robust.{name}" for name in names if getattr(self, name) is not None), None)
+
+
+class LidarSettings(Section):
+    """How many points it takes to find a road user: a curve per kind, see `warpav.detection._lidar.LidarCurve`."""
+
+    vehicle: float = Field(default=5.0, gt=0.0, le=10_000.0, description="points on a vehicle for an even chance")
+    pedestrian: float = Field(default=5.0, gt=0.0, le=10_000.0, description="points on a pedestrian for an even chance")
+    cyclist: float = Field(default=5.0, gt=0.0, le=10_000.0, description="points on a cyclist for an even chance")
+    steepness: float = Field(
+        default=2.7, gt=0.0, le=20.0, description="how fast the chance rises with the logarithm of one and the points"
+    )
+
+    @property
+    def curve(self) -> LidarCurve:
+        from warpav.detection import LidarCurve
+
+        halves = {name: getattr(self, name) for name in ("vehicle", "pedestrian", "cyclist")}
+        return LidarCurve(halves, self.steepness)
 
 
 class RuleSettings(Section):

@@ -18,12 +18,13 @@ import warp as wp
 from warpav.core.cache import digest, fingerprint
 from warpav.core.cores import available_cores, gpu_share
 from warpav.core.warp_setup import load_warp
-from warpav.optimisation._camera_jacobians import CameraJacobians, placing_slope
+from warpav.detection import LidarProbability
+from warpav.optimisation._camera_jacobians import CameraJacobians, LidarJacobians, placing_slope
 from warpav.optimisation._mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.optimisation._mount_errors import MountErrors, outside_skin
 from warpav.optimisation._required_points import RequiredPoints
 from warpav.optimisation._tangent_model import HardPoints, Margins
-from warpav.optimisation.losses._scene_on_tape import CameraProbability
+from warpav.optimisation.losses._scene_on_tape import ObjectProbability
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import (
@@ -61,17 +62,17 @@ class SingleCameras:
     """Cameras of one mount, none of which knows of the others."""
 
     mount: CameraMount  # where they stand, and their models
-    probability: CameraProbability | tuple[CameraProbability, ...]  # how likely a camera is to detect
+    probability: ObjectProbability | tuple[ObjectProbability, ...]  # how likely a camera is to detect
     occlusion: Occlusion = Occlusion.EXACT  # what hides an object
     supersampling: int = 1  # samples per pixel along each axis, at least 1
     thread_count: int | None = None  # threads on the CPU; None: as `Renderer` takes. The numbers do not depend on it
     is_mirrored: bool = False  # whether they are the mirror images of a symmetric mount's cameras
-    _kept_jacobians: dict[_Kind, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
+    _kept_jacobians: dict[_Kind, CameraJacobians | LidarJacobians] = field(default_factory=dict, init=False, repr=False)
     _renderers: KeptRenderers = field(default_factory=KeptRenderers, kw_only=True, repr=False)
     _at_once: dict[int, ViewsAtOnce] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def probabilities(self) -> tuple[CameraProbability, ...]:
+    def probabilities(self) -> tuple[ObjectProbability, ...]:
         """How likely a camera of each of the mount's models is to detect."""
         return self.probability if isinstance(self.probability, tuple) else (self.probability,)
 
@@ -94,11 +95,7 @@ class SingleCameras:
         cameras = mount.cameras if mount.is_mixed else (mount.camera,)
         detectors: list[object] = []
         for each in self.probabilities:
-            model = each.model
-            detectors += [
-                np.asarray(part, np.float64).tobytes() for part in (model.start, model.step, model.coefficient)
-            ]
-            detectors += [model.constant, each.probability]
+            detectors += each.identity
         modules = (surface.module_of_zone.tobytes(),) if mount.is_mixed else ()
         modules += (surface.pairs,) if mount.is_symmetric else ()
         modules += (surface.panes,) if any(surface.panes) else ()
@@ -223,11 +220,9 @@ class SingleCameras:
             views.position_ego_m,
             views.camera_from_ego,
             log_focal=views.log_zoom,
-            content=Content.COVERAGE,
+            content=Content.MEASURES if self.mount.cameras[module].beams else Content.COVERAGE,
         )
-        probability = self.probabilities[module]
-        seen = probability.model.of_coverage(frame, scene, views.position_ego_m)
-        return (probability.share_of_box(seen) or seen.probability).numpy()
+        return self.probabilities[module].detected(frame, scene, views.position_ego_m).numpy()
 
     def in_ego(self, pose: np.ndarray) -> tuple[np.ndarray, list[CameraModel]]:
         """Poses of cameras in the ego frame, float64 [camera, 4, 4], and their models."""
@@ -281,15 +276,19 @@ class SingleCameras:
         order = np.argsort(row)
         return value[order], placing_slope(self.mount, pose).chained(by_view[order])
 
-    def _jacobians(self, kind: _Kind) -> CameraJacobians:
+    def _jacobians(self, kind: _Kind) -> CameraJacobians | LidarJacobians:
         """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
         module, pane = kind
-        if kind not in self._kept_jacobians:
+        probability = self.probabilities[module]
+        if kind not in self._kept_jacobians and isinstance(probability, LidarProbability):
+            most, renderers = self._most_views(module), partial(self._maker(module).kept, self._renderers)
+            self._kept_jacobians[kind] = LidarJacobians(self.mount, probability, renderers, most, pane)
+        elif kind not in self._kept_jacobians:
             maker, streams = self._maker(module), gpu_share(_CUDA_STREAMS)
             self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,
                 self.mount.cameras[module],
-                self.probabilities[module],
+                probability,
                 # recorded launches are bound to the renderers, which therefore are those of the kind
                 partial(maker.new, count=streams) if self._is_cuda else partial(maker.kept, self._renderers),
                 self._most_views(module, views_max=MAX_CHUNK_VIEWS, renderers=streams),

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.raster.beams import Beams
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 
 MAX_IMAGE_PX = 16384
@@ -42,6 +43,7 @@ class CameraModel:
         distortion: Coefficients in OpenCV's order: of a Brown-Conrady lens ``k1 k2 p1 p2``, also with ``k3`` or with
             ``k3 k4 k5 k6``; of a fisheye (Kannala-Brandt) ``k1 k2 k3 k4``; ``alpha beta`` of eucm, ``xi alpha`` of
             double_sphere.
+        beams: Those of a LiDAR, whose panorama the image is, see `of_beams`; None: a camera.
 
     Raises:
         ValueError: A number out of its range, or numbers that contradict each other.
@@ -55,6 +57,16 @@ class CameraModel:
     focal_px: tuple[float, float] | None = None
     centre_px: tuple[float, float] | None = None
     distortion: tuple[float, ...] = ()
+    beams: Beams | None = None
+
+    @classmethod
+    def of_beams(cls, beams: Beams, near_m: float) -> CameraModel:
+        """The panorama of a LiDAR's beams; ``near_m``: its least range [m]."""
+        width_px, height_px, focal_px, centre_px = beams.panorama
+        lens = Lens.EQUIRECTANGULAR
+        return cls(
+            width_px, height_px, near_m=near_m, lens=lens, focal_px=focal_px, centre_px=centre_px, beams=beams
+        )
 
     def __post_init__(self) -> None:
         if not all(size == int(size) and size >= 8 for size in (self.width_px, self.height_px)):

@@ -8,6 +8,7 @@ from warpav.rig._camera_body import least_cosine as least_cosine
 from warpav.rig._catalogue import BUILTIN as BUILTIN
 from warpav.rig._catalogue import ModulesForm as ModulesForm
 from warpav.rig._catalogue import builtin_modules as builtin_modules
+from warpav.rig._catalogue import copy_catalogue as copy_catalogue
 from warpav.rig._catalogue import module_table as module_table
 from warpav.rig._catalogue import read_modules as read_modules
 from warpav.rig._chart import chart_of as chart_of

@@ -481,11 +481,17 @@ def _cells_m(zone: Zone, mesh: Mesh, *, cell_m: float = _COARSE_M) -> np.ndarray
     return chart.point_m(place_m, chart.height_at_m(place_m))
 
 
-def with_middles(zones: Sequence[Zone]) -> tuple[Zone, ...]:
-    """Zones, and of each that lies across the middle and looks forwards or back a centred one, for single cameras."""
+def with_middles(zones: Sequence[Zone], *, upwards: bool = False) -> tuple[Zone, ...]:
+    """Zones, and of each that lies across the middle and looks forwards or back a centred one, for single cameras.
+
+    ``upwards``: of those that look upwards too, for LiDARs that see all round.
+    """
     across = [
         zone
         for zone in zones
-        if not zone.is_centred and abs(zone.axes[2, 0]) > 0.5 and abs(zone.axes[2, 1]) < 1e-6 and not zone.origin_m[1]
+        if not zone.is_centred
+        and (abs(zone.axes[2, 0]) > 0.5 or (upwards and zone.axes[2, 2] > 0.5))
+        and abs(zone.axes[2, 1]) < 1e-6
+        and not zone.origin_m[1]
     ]
     return (*zones, *(replace(zone, name=f"{zone.name}_middle", is_centred=True) for zone in across))

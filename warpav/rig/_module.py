@@ -1,4 +1,4 @@
-"""Camera modules: a sensor, a lens, what of the image the network gets, a housing, and what it all costs."""
+"""Modules of cameras and LiDARs: a sensor, a lens or beams, what the network gets, a housing, and what it all costs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.records import nearest
+from warpav.raster.beams import Beams
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import COEFFICIENT_COUNTS, Lens, LensShape
 
@@ -102,7 +103,7 @@ class ModuleError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class Module:
-    """A camera module.
+    """A module of a camera, or of a LiDAR (`of_beams`).
 
     Attributes:
         name: Short name; letters, digits, ``_``, ``-`` and ``.``.
@@ -120,6 +121,8 @@ class Module:
         power_w: What it draws [W], at least 0; None: unknown.
         zones: Names or kinds of the zones that it fits, such as ``windscreen``; empty: all.
         role: A `Role` or its name.
+        beams: Those of a LiDAR, whose panorama sensor, field of view and lens then are; None: a camera.
+        least_range_m: From where on a LiDAR measures [m], positive; nearer things do not hide. None: a camera.
 
     Raises:
         ModuleError: Numbers out of range, or that contradict each other; an `InputError`.
@@ -140,6 +143,15 @@ class Module:
     power_w: float | None = None
     zones: tuple[str, ...] = ()
     role: Role = Role.ANY
+    beams: Beams | None = None
+    least_range_m: float | None = None
+
+    @classmethod
+    def of_beams(cls, name: str, beams: Beams, least_range_m: float, **others: Any) -> Module:  # noqa: ANN401
+        """A LiDAR; ``others`` are the fields that both kinds have: housing, price, source, power_w, zones, role."""
+        width, height, _, _ = beams.panorama
+        image = {"sensor_px": (width, height), "fov_rad": beams.sector_rad, "lens": Lens.EQUIRECTANGULAR}
+        return cls(name=name, beams=beams, least_range_m=least_range_m, **image, **others)
 
     def __post_init__(self) -> None:
         for name, value, kind in (("housing", self.housing, Housing), ("price", self.price, Price)):
@@ -163,6 +175,8 @@ class Module:
 
     def sensor_model(self) -> CameraModel:
         """The camera with all pixels of the sensor."""
+        if self.beams is not None and self.least_range_m is not None:
+            return CameraModel.of_beams(self.beams, self.least_range_m)
         return CameraModel(*self.sensor_px, self.fov_rad, lens=self.lens, distortion=self.distortion)
 
     def camera_model(self) -> CameraModel:
@@ -174,6 +188,8 @@ class Module:
         principal point half a pixel beside the middle. Distortion counts in focal lengths and stays.
         """
         sensor = self.sensor_model()
+        if self.beams is not None:
+            return sensor
         fx, fy, cx, cy = sensor.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]]
         if self.network_by is Fitting.SCALING:
             grow_x, grow_y = (new / old for new, old in zip(self.network_px, self.sensor_px, strict=True))
@@ -222,10 +238,12 @@ def _problems(module: Module) -> Iterator[_Problem]:
     """All that is wrong with a module; contradictions only between fields that are right by themselves."""
     if not (isinstance(module.name, str) and _NAME.fullmatch(module.name)):
         yield _Problem("name", "letters, digits, '_', '-' and '.'", repr(module.name), "such as front_8mp_30")
-    of_image = [*_size_problems(module), *_lens_problems(module)]
+    of_image = [] if module.beams else [*_size_problems(module), *_lens_problems(module)]
     yield from of_image
-    if not of_image:
+    if not of_image and not module.beams:
         yield from _image_problems(module)
+    if module.beams:
+        yield from _range_problems(module)
     yield from _housing_problems(module.housing)
     if not _is_number(module.price.value, 0.0):
         yield _Problem("price.value", "a number from 0 on", f"{module.price.value}", "write what the module costs")
@@ -340,6 +358,14 @@ def _blind_place(model: CameraModel) -> str | None:
         place_px |= dict(zip(names, corners, strict=True))
     ray = model.rays(np.array(list(place_px.values())))
     return next((name for name, each in zip(place_px, ray, strict=True) if not np.isfinite(each).all()), None)
+
+
+def _range_problems(module: Module) -> Iterator[_Problem]:
+    reach_m = math.hypot(*(0.5 * size + abs(at) for size, at in zip(module.housing.size_m, module.housing.offset_m, strict=True)))
+    least_m, most_m = module.least_range_m, module.beams.range_m[0] if module.beams else math.inf
+    if not (_is_number(least_m, reach_m) and (least_m or 0.0) < most_m):
+        expected = f"metres from {reach_m:.3f}, the housing's farthest corner, to less than the range of {most_m:g}"
+        yield _Problem("least_range_m", expected, f"{least_m}", "see its data sheet, or give a smaller housing")
 
 
 def _housing_problems(housing: Housing) -> Iterator[_Problem]:

@@ -20,10 +20,11 @@ from warpav.core.records import LEFT_OUT, Form, Name, Number, Point2, Point3, Po
 from warpav.core.section import mistake, shown
 from warpav.core.table import Table, aligned, data_frame
 from warpav.core.yaml_file import read_yaml, yaml_lines, yaml_name, yaml_number, yaml_row
+from warpav.raster.beams import Beams
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.raster.pane import Pane
-from warpav.rig._catalogue import builtin_modules, read_modules
+from warpav.rig._catalogue import BeamsForm, builtin_modules, read_modules
 from warpav.rig._module import PLAIN_HOUSING, Housing
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class RigCamera:
         yaw_rad: Turn to the left about z [rad].
         pitch_rad: Nose down [rad].
         roll_rad: Right side down [rad].
-        model: Image size and lens; by default a pinhole of 256 x 256 px and 90 degrees.
+        model: Image size and lens; by default a pinhole of 256 x 256 px and 90 degrees. One with ``beams`` is a LiDAR.
         module: Name of the camera module that it is, if it is one of a catalogue; the model is that of the network's
             image then.
         behind_glass: The pane of the own vehicle that it looks through from inside; what of the body belongs to it is
@@ -244,6 +245,7 @@ def _any_of_images(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [
         {"required": ["module"], "properties": dict.fromkeys((*_IMAGE, "focal_px"), False)},
         {"required": list(_IMAGE)},
+        {"required": ["beams"]},
         {"required": ["focal_px", "width_px", "height_px"]},
     ]
 
@@ -270,12 +272,18 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
     distortion: list[Number] = Field(
         [], description="a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]"
     )
+    beams: BeamsForm = Field(LEFT_OUT, description="the beams of a LiDAR, a mapping, instead of an image")
     module: Name = Field(LEFT_OUT, description="the name of a camera module, such as side_2mp_100")
     behind_glass: Name = Field(LEFT_OUT, description="the name of one of the file's panes, such as windscreen")
 
     @model_validator(mode="after")
     def _has_an_image(self) -> _CameraForm:
         given = self.model_fields_set
+        if "beams" in given:
+            strange = sorted(given & {*_IMAGE, "focal_px", "centre_px", "lens", "distortion", "behind_glass"})
+            if strange:
+                mistake(f"expected no {strange[0]} beside beams; remove one of them", strange[0])
+            return self
         if "module" not in given or given & {*_IMAGE, "focal_px"}:
             for name in _IMAGE:
                 if name not in given and not (name == "fov_deg" and "focal_px" in given):
@@ -284,12 +292,14 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
             mistake(f"expected {_FOV_TEXT}, got {self.fov_deg:g}", "fov_deg")
         return self
 
-    def camera(self, modules: Mapping[str, Module], panes: Mapping[str, Pane]) -> RigCamera:
+    def camera(self, modules: Mapping[str, Module], panes: Mapping[str, Pane], folder: Path) -> RigCamera:
         if self.behind_glass is not None and self.behind_glass not in panes:
             expected = f"one of panes, {', '.join(panes)}" if panes else "panes beside frame, with this name"
             hint = nearest(self.behind_glass, panes)
             mistake(f"expected {expected}, got {self.behind_glass!r}{hint}", "behind_glass")
-        if "width_px" in self.model_fields_set:
+        if self.beams is not None:
+            model = CameraModel.of_beams(self.beams.beams(folder), self.beams.least_range_m)
+        elif "width_px" in self.model_fields_set:
             angle = {} if self.fov_deg is None else {"fov_rad": math.radians(self.fov_deg)}
             given = self.model_dump(include={"lens", "focal_px", "centre_px", "distortion"}, exclude_unset=True)
             try:
@@ -358,13 +368,17 @@ def rig_text(rig: Rig) -> str:
     def written(camera: RigCamera) -> dict[str, Any]:
         model = camera.model
         is_by_angle = model.focal_px is None or model.centre_px is None
-        return {
+        placed = {
             "name": yaml_name(camera.name),
             "position_m": row(camera.position_m),
             "yaw_deg": _angle(camera.yaw_rad),
             "pitch_deg": _angle(camera.pitch_rad),
             "roll_deg": _angle(camera.roll_rad),
             "module": None if camera.module is None else yaml_name(camera.module),
+        }
+        if model.beams is not None:
+            return placed | {"beams": _written_beams(model.beams, model.near_m)}
+        return placed | {
             "behind_glass": None if camera.behind_glass is None else yaml_name(camera.behind_glass.name),
             "lens": None if model.lens is Lens.PINHOLE else str(model.lens),
             "fov_deg": number(math.degrees(model.fov_rad)) if is_by_angle else None,
@@ -377,6 +391,21 @@ def rig_text(rig: Rig) -> str:
 
     content = {"panes": panes or None, "cameras": list(map(written, rig.cameras))}
     return "\n".join([*lines, *yaml_lines(content)]) + "\n"
+
+
+def _written_beams(beams: Beams, least_range_m: float) -> dict[str, Any]:
+    def degrees(angles_rad: Iterable[float]) -> str:
+        return yaml_row(map(math.degrees, angles_rad), _DECIMALS)
+
+    return {
+        "elevation_deg": degrees(beams.elevation_rad),
+        "azimuth_step_deg": yaml_number(math.degrees(beams.step_rad), _DECIMALS),
+        "azimuth_deg": degrees(beams.azimuth_rad),
+        "range_m": yaml_row(beams.range_m),
+        "least_range_m": yaml_number(least_range_m, _DECIMALS),
+        "rate_hz": yaml_number(beams.rate_hz, _DECIMALS),
+        "weight": None if beams.weight is None else [yaml_row(row) for row in beams.weight],
+    }
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -432,7 +461,7 @@ def read_rig(path: str | Path) -> Rig:
     cameras = []
     for i, each in enumerate(form.cameras):
         with mistakes.noting("cameras", i):
-            cameras.append(each.camera(modules, panes))
+            cameras.append(each.camera(modules, panes, file.parent))
     mistakes.refuse()
     try:
         return Rig(cameras)

@@ -114,8 +114,10 @@ def check_one_unit(modules: Iterable[Module]) -> None:
 
 def camera_models(config: Config) -> tuple[CameraModel, ...]:
     """The models of all cameras that a rig may have: those of its modules, or the one that its cameras share."""
-    models = [dataclasses.replace(module.camera_model(), near_m=_near_m(config)) for module in rig_modules(config)]
-    return tuple(models) or (camera_model(config),)
+    models = [(module.beams, module.camera_model()) for module in rig_modules(config)]
+    near_m = _near_m(config)
+    found = (model if beams else dataclasses.replace(model, near_m=near_m) for beams, model in models)
+    return tuple(found) or (camera_model(config),)
 
 
 def preset_for(name: str, config: Config, ego: Mesh) -> MovedRig:
@@ -240,7 +242,8 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
     else:
         zones = _top_zones(config)
     if config.rig.is_symmetric and not any(zone.is_centred for zone in zones):
-        zones = with_middles(zones)
+        all_round = any(module.beams and module.beams.is_all_round for module in rig_modules(config))
+        zones = with_middles(zones, upwards=all_round)
     try:
         surface = chart_of(
             zones,
@@ -338,6 +341,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
+        lidar=config.lidar.curve,
         cameras_have_bodies=config.keeps_rules,
     )
 
@@ -405,6 +409,8 @@ def with_shared_model(rig: Rig, config: Config) -> Rig:
 
 def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
     """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
+    if model.beams is not None:
+        return model
     model = dataclasses.replace(model, near_m=shared.near_m)
     same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=_SAME_CAMERA_TOLERANCE)
     is_shared = same_fov and model.focal_px is None and dataclasses.replace(model, fov_rad=shared.fov_rad) == shared

@@ -19,7 +19,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.section import Section
-from warpav.detection import DetectionProbability
+from warpav.detection import DetectionProbability, LidarProbability
 from warpav.optimisation import (
     HEIGHT_DELTA_M,
     LOG_ZOOM,
@@ -37,6 +37,7 @@ from warpav.optimisation import (
     LossFunction,
     LossOptions,
     LossSchedule,
+    ObjectProbability,
     PoolRules,
     Reference,
     RequiredPoints,
@@ -100,7 +101,7 @@ _DEGREES_OF_FREEDOM = {
 """Degrees of freedom of a camera on the mount surface, and their column among its mount pose."""
 
 
-_DetectionProbabilities = DetectionProbability | tuple[DetectionProbability, ...]
+_DetectionProbabilities = DetectionProbability | tuple[DetectionProbability | LidarProbability, ...]
 """The model of detection probability of all cameras, or of each module."""
 
 
@@ -393,7 +394,8 @@ class Placement:
             return ()
         cameras = camera_models(config)
         models = probability if isinstance(probability, tuple) else (probability,) * len(cameras)
-        return tuple(zip(cameras, models, strict=True))
+        pairs = zip(cameras, models, strict=True)
+        return tuple((camera, model) for camera, model in pairs if isinstance(model, DetectionProbability))
 
     @property
     def mount(self) -> CameraMount:
@@ -661,6 +663,8 @@ def _fitted(
     config = fit_config(config, progress)  # once for all modules
     return tuple(
         ensure_fit(config, detector=detector, ego=ego, progress=progress, camera=model)
+        if model.beams is None
+        else LidarProbability(model.beams, config.lidar.curve)
         for model in camera_models(config)
     )
 
@@ -769,10 +773,13 @@ def _assembled(
 
 def _camera_probabilities(
     config: Config, probability: _DetectionProbabilities | None, modules: Sequence[str]
-) -> CameraProbability | list[CameraProbability] | None:
+) -> ObjectProbability | list[ObjectProbability] | None:
     """How likely a camera is to detect, of a mount's modules each; one model stands for all of these."""
     models = probability if isinstance(probability, tuple) else (probability,)
-    found = [CameraProbability.of(config.losses, model) for model in models]
+    found = [
+        model if isinstance(model, LidarProbability) else CameraProbability.of(config.losses, model)
+        for model in models
+    ]
     counts = config.rig.module_counts
     if counts is None or found == [None]:
         return found[0]

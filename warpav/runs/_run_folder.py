@@ -17,7 +17,6 @@ import contextlib
 import csv
 import io
 import json
-import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +38,7 @@ from warpav.core.files import (
     writing,
 )
 from warpav.core.table import data_frame
-from warpav.rig import Rig, preset_names, read_rig, read_zones, write_rig, write_zones
+from warpav.rig import Rig, copy_catalogue, preset_names, read_rig, read_zones, write_rig, write_zones
 from warpav.runs._drawn_run import DrawnRun, draws_runs
 from warpav.runs._environment import command_line, environment
 from warpav.runs._events import Certificate, flat_numbers, read_events
@@ -100,7 +99,7 @@ class RunFolder:
         if config.mount.zones is not None:
             write_zones(read_zones(config.mount.zones), path / KEPT_FILES["mount.zones"])
         if config.rig.catalogue is not None:
-            shutil.copyfile(config.rig.catalogue, path / KEPT_FILES["rig.catalogue"])
+            copy_catalogue(config.rig.catalogue, path / KEPT_FILES["rig.catalogue"])
         if config.requirements_file is not None:
             copy_requirements(config.requirements_file, path / KEPT_FILES["requirements"])
         known = {"configuration": digest(dump_config(config.replace({"run.out": None}))), **(hashes or {})}

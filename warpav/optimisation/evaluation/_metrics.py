@@ -21,6 +21,7 @@ from warpav.detection import (
     Detector,
     ImageBoxes,
     ImageScore,
+    LidarProbability,
     Observation,
     average_precision,
     mean_image_average_precision,
@@ -31,7 +32,7 @@ from warpav.optimisation._constraints import min_camera_distance_m
 from warpav.optimisation._mount import CameraMount, PlacedViews, views_of_rig
 from warpav.optimisation._objective import ObjectiveOptions, RigObjective, single_cameras_of
 from warpav.optimisation._pool import CameraPool, Drawing, spread_mount_poses
-from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability
+from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability, ObjectProbability
 from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
@@ -219,6 +220,9 @@ class RigObservation:
     Attributes:
         detection_probability: That each camera of the rig detects each object, by the model of detection probability,
             float [camera, object]; None where no model is known for these cameras.
+        points: Those of each LiDAR that return from an object, NaN of cameras, float [camera, object], as the rig has
+            them; None: there is no LiDAR.
+        lidar_finds: Whether a LiDAR finds an object: with a probability of at least one half; bool [camera, object].
     """
 
     observations: list[Observation]
@@ -226,6 +230,8 @@ class RigObservation:
     camera: list[int]
     detection_probability: np.ndarray | None = None
     confidence_min: float = 0.0  # of a detection that is shown and matched; lower ones tell false alarms
+    points: np.ndarray | None = None
+    lidar_finds: np.ndarray | None = None
 
     @property
     def cameras(self) -> list[CameraObservation]:
@@ -243,7 +249,18 @@ class RigObservation:
     def _best_confidence(self) -> np.ndarray:
         """Highest confidence of a matched detection of every object, -inf without one."""
         confidence = np.concatenate([each.matched_confidence() for each in self.observations])
-        return np.where(np.isfinite(confidence), confidence, -np.inf).max(axis=0, initial=-np.inf)
+        best = np.where(np.isfinite(confidence), confidence, -np.inf).max(axis=0, initial=-np.inf)
+        return np.where(self._by_lidar, 1.0, best)
+
+    @property
+    def _by_lidar(self) -> np.ndarray:
+        """Whether some LiDAR finds an object, bool [object]."""
+        return np.zeros(len(self.in_frame), bool) if self.lidar_finds is None else self.lidar_finds.any(axis=0)
+
+    @property
+    def images(self) -> list[Observation]:
+        """What the cameras see, without the LiDARs."""
+        return [each for each in self.observations if not isinstance(each, _Scan)]
 
     @property
     def detected(self) -> np.ndarray:
@@ -253,7 +270,8 @@ class RigObservation:
     def detected_up_to(self, iou_min: float) -> np.ndarray:
         """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
         up_to = [each.detected_up_to(iou_min) for each in self.observations]
-        return np.concatenate(up_to).max(axis=0, initial=-np.inf)
+        best = np.concatenate(up_to).max(axis=0, initial=-np.inf)
+        return np.where(self._by_lidar, _SURELY, best)
 
     @property
     def confidence(self) -> np.ndarray:
@@ -264,13 +282,14 @@ class RigObservation:
     def visible_to_camera(self) -> np.ndarray:
         """Which camera of the rig sees which object well enough for a ground-truth box, bool [camera, object]."""
         box_px = np.concatenate([each.truth_box_px for each in self.observations])
-        sees = np.asarray(np.isfinite(box_px).all(axis=2))
-        return sees[np.argsort(self.camera)]
+        sees = np.asarray(np.isfinite(box_px).all(axis=2))[np.argsort(self.camera)]
+        return sees if self.points is None else sees | (self.points >= _SEEN_POINTS)
 
     @property
     def detected_by_camera(self) -> np.ndarray:
         """Which camera of the rig detects which object, bool [camera, object]."""
-        return np.concatenate([each.match for each in self.observations])[np.argsort(self.camera)] >= 0
+        found = np.concatenate([each.match for each in self.observations])[np.argsort(self.camera)] >= 0
+        return found if self.lidar_finds is None else found | self.lidar_finds
 
     @property
     def visible(self) -> np.ndarray:
@@ -291,6 +310,26 @@ class RigObservation:
         ]
 
 
+_FOUND = 0.5
+"""Probability from which on a LiDAR finds an object."""
+_SEEN_POINTS = 1.0
+"""Of a LiDAR that return from an object that it sees."""
+_SURELY = 2.0
+"""Confidence above that of any detection: what a LiDAR finds is found whatever a detector's threshold is."""
+
+
+class _Scan(Observation):
+    """What a LiDAR is shown: no detector looks at it."""
+
+    @classmethod
+    def of(cls, frame: Frame, object_count: int) -> _Scan:
+        views = frame.view_count
+        boxes = np.full((views, object_count, 4), np.nan, np.float32)
+        match = np.full((views, object_count), -1, np.int64)
+        nothing = [np.zeros((object_count, 0), bool) for _ in range(views)]
+        return cls(frame.colours(), [Detections.none()] * views, boxes, boxes, match, nothing)
+
+
 class RigObserver:
     """Observes scenes through the cameras of any rig, which need not share a camera model."""
 
@@ -301,7 +340,7 @@ class RigObserver:
         options: ObjectiveOptions,
         *,
         device: str,
-        probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
+        probability_of: Callable[[CameraModel], ObjectProbability | None] | None = None,
     ) -> None:
         """Create the renderers; cameras of one model that look through one pane share one."""
         self._probability_of = probability_of
@@ -319,30 +358,49 @@ class RigObserver:
 
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
-        observations, area_px, found = [], [], []
+        observations, area_px, found, points, finds = [], [], [], [], []
         for renderer, part in self._groups:
+            model = part.cameras[0].model
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             raster = scene.raster.through(part.cameras[0].behind_glass)
             frame = renderer.render(raster, views.position_ego_m, views.camera_from_ego)
             forward_view = list(range(len(part.cameras)))
-            observation = observe(
-                frame,
-                scene,
-                self._detector,
-                forward_view=forward_view,
-                confidence_min=self._options.confidence_min,
-                iou_min=self._options.iou_min,
-            )
-            observations.append(observation)
             measures = frame.measure()
             area_px.append(_amodal_area_px(measures, forward_view))
-            known = None if self._probability_of is None else self._probability_of(part.cameras[0].model)
-            if known is not None:
+            known = None if self._probability_of is None else self._probability_of(model)
+            if model.beams is not None:
+                lidar = LidarProbability(model.beams, self._options.lidar)
+                returned, probability = lidar.returned(frame, scene, views.position_ego_m)
+                observations.append(_Scan.of(frame, scene.vehicle_count))
+                points.append(returned.numpy())
+                found.append(probability.numpy())
+                finds.append(found[-1] >= _FOUND)
+                continue
+            observations.append(
+                observe(
+                    frame,
+                    scene,
+                    self._detector,
+                    forward_view=forward_view,
+                    confidence_min=self._options.confidence_min,
+                    iou_min=self._options.iou_min,
+                )
+            )
+            points.append(np.full(area_px[-1].shape, np.nan))
+            finds.append(np.zeros(area_px[-1].shape, bool))
+            if isinstance(known, CameraProbability):
                 found.append(_detection_probability(known, frame, scene, views, measures))
-        is_known = len(found) == len(self._groups)
-        probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
-        in_frame = _is_in_frame(np.concatenate(area_px))
-        return RigObservation(observations, in_frame, self._camera, probability, self._options.confidence_min)
+        order = np.argsort(self._camera)
+        is_known, has_lidar = len(found) == len(self._groups), any(isinstance(each, _Scan) for each in observations)
+        return RigObservation(
+            observations,
+            _is_in_frame(np.concatenate(area_px)),
+            self._camera,
+            np.concatenate(found)[order] if is_known else None,
+            self._options.confidence_min,
+            np.concatenate(points)[order] if has_lidar else None,
+            np.concatenate(finds)[order] if has_lidar else None,
+        )
 
 
 def _detection_probability(
@@ -452,7 +510,7 @@ def metrics_of(
     rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
     detected, visible = [each.detected for each in observations], [each.visible for each in observations]
     in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]
-    boxes = _Boxes(scenes, [each.observations for each in observations], objective)
+    boxes = _Boxes(scenes, [each.images for each in observations], objective)
     camera_map = boxes.map50_of_cameras()
     ap50, ap50_95 = boxes.average_precision()
     position_m = np.array([camera.position_m for camera in rig.cameras])

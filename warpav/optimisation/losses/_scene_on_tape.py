@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import warp as wp
 
-from warpav.detection import Appearance, DetectionProbability, Seen
+from warpav.detection import Appearance, DetectionProbability, LidarProbability, Seen
 from warpav.optimisation._mount import LOG_ZOOM, PITCH_RAD, CameraMount, PlacedViews
 from warpav.optimisation._settings import LossSettings
 from warpav.raster.areas import Measures
@@ -30,6 +30,21 @@ class CameraProbability:
     def of(cls, settings: LossSettings, model: DetectionProbability | None) -> CameraProbability | None:
         return None if model is None else cls(model, settings.probability, settings.window_softness_rad)
 
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """All that the probabilities depend on."""
+        model = self.model
+        curves = (np.asarray(part, np.float64).tobytes() for part in (model.start, model.step, model.coefficient))
+        return *curves, model.constant, self.probability
+
+    def detected(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> wp.array:
+        """The probability that each view detects each object, nothing taped; float [view, object].
+
+        ``frame``: a render of the scene with coverage.
+        """
+        seen = self.model.of_coverage(frame, scene, position_ego_m)
+        return self.share_of_box(seen) or seen.probability
+
     def share_of_box(self, seen: Seen) -> wp.array | None:
         """What stands in for the fitted probability, on the active tape, float [view, vehicle]; None: nothing does."""
         if self.probability == "fitted":
@@ -43,6 +58,10 @@ class CameraProbability:
             device=share.device,
         )
         return share
+
+
+ObjectProbability = CameraProbability | LidarProbability
+"""How likely a sensor of some model is to find an object."""
 
 
 @dataclass(frozen=True, eq=False)

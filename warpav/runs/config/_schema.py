@@ -18,6 +18,7 @@ from warpav.core.yaml_file import read_yaml
 from warpav.optimisation import (
     METHOD_LOSSES,
     ImportanceSettings,
+    LidarSettings,
     LossSettings,
     OptimiserSettings,
     RobustSettings,
@@ -654,6 +655,7 @@ class ConfigTree(Section):
         "near_field, or the path of a YAML file; null: nothing; auto: where the search is the one by a pool, without "
         "robust, the points of near_field join the objective, and none is asked for",
     )
+    lidar: LidarSettings = Field(default=LidarSettings(), description="how many points it takes to find a road user")
     robust: RobustSettings = Field(
         default=RobustSettings(), description="rigs that are to bear the loss of a camera, or errors of mounting"
     )

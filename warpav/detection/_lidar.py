@@ -1,0 +1,178 @@
+"""What a LiDAR finds: expected points on an object as a weighted silhouette area, and a curve from points to finding.
+
+No network is claimed. The curve is stated, monotone in the points that return, and can be changed or fitted to a
+table of a user's own (`fit_lidar_curve`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from warpav.core.errors import InputError
+from warpav.detection._detector import ROAD_USERS
+from warpav.raster.areas import Measures
+from warpav.raster.beams import Beams
+from warpav.raster.frame import Frame
+from warpav.scene import DeviceScene
+from warpav_kernels.detection import lidar_probability as kernels
+
+_LEAST_ROWS = 20
+_LARGEST_STEEPNESS = 20.0
+
+
+@dataclass(frozen=True)
+class LidarCurve:
+    """How many points on an object it takes to find it.
+
+    With n returned points the probability is ``(1 - exp(-n)) q / (1 + q)``, ``q = ((1 + n) / (1 + h))^k``.
+
+    Attributes:
+        points_for_half: h, the points that give an even chance, positive, of each road user; others as vehicles. The
+            usual 5 are the least of which the public benchmarks count a labelled box as one that can be found.
+        steepness: k, positive.
+    """
+
+    points_for_half: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(ROAD_USERS, 5.0))
+    steepness: float = 2.7
+
+    def of(self, points: np.ndarray, road_user: str = "vehicle") -> np.ndarray:
+        """The probability for numbers of points that return, float64."""
+        n = np.asarray(points, np.float64)
+        q = ((1.0 + n) / (1.0 + self._half(road_user))) ** self.steepness
+        return -np.expm1(-n) * q / (1.0 + q)
+
+    def _half(self, road_user: str) -> float:
+        return self.points_for_half.get(road_user, self.points_for_half.get("vehicle", 5.0))
+
+    @property
+    def halves(self) -> np.ndarray:
+        """h of each of `ROAD_USERS`, float32."""
+        return np.array([self._half(name) for name in ROAD_USERS], np.float32)
+
+
+def fit_lidar_curve(
+    points: np.ndarray, road_user: np.ndarray, found: np.ndarray, start: LidarCurve | None = None
+) -> LidarCurve:
+    """The curve of greatest likelihood for what a detector found.
+
+    Args:
+        points: That returned from each object, [object].
+        road_user: Its kind, out of `ROAD_USERS`, [object].
+        found: Whether the detector found it, bool [object].
+        start: Where kinds are taken from of which there are fewer than 20 rows; None: the usual curve.
+
+    Raises:
+        InputError: Too few rows, or all found, or none.
+    """
+    from scipy.optimize import minimize
+
+    start = start or LidarCurve()
+    kinds = [name for name in ROAD_USERS if np.count_nonzero(road_user == name) >= _LEAST_ROWS]
+    if not kinds or found.all() or not found.any():
+        expected = f"at least {_LEAST_ROWS} objects of a road user, some found and some not"
+        raise InputError(f"table: expected {expected}, got {len(found)} rows, {int(found.sum())} found")
+
+    def curve(numbers: np.ndarray) -> LidarCurve:
+        halves = dict(zip(kinds, np.exp(numbers[1:]).tolist(), strict=True))
+        return LidarCurve({**start.points_for_half, **halves}, float(np.exp(numbers[0])))
+
+    def loss(numbers: np.ndarray) -> float:
+        model, total = curve(numbers), 0.0
+        for name in kinds:
+            own = road_user == name
+            p = np.clip(model.of(points[own], name), 1e-9, 1.0 - 1e-9)
+            total -= float(np.where(found[own], np.log(p), np.log1p(-p)).sum())
+        return total
+
+    first = np.log([start.steepness, *(start.points_for_half.get(name, 5.0) for name in kinds)])
+    bounds = [(np.log(0.2), np.log(_LARGEST_STEEPNESS)), *((np.log(0.1), np.log(1e4)) for _ in kinds)]
+    return curve(minimize(loss, first, bounds=bounds, method="L-BFGS-B").x)
+
+
+@dataclass(frozen=True, eq=False)
+class LidarProbability:
+    """How likely a LiDAR is to find an object: of its points by a curve."""
+
+    beams: Beams
+    curve: LidarCurve = field(default_factory=LidarCurve)
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """All that the probabilities depend on."""
+        return "lidar", repr(self.beams), self.curve.halves.tobytes(), self.curve.steepness
+
+    @cached_property
+    def _weight(self) -> dict[str, wp.array]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As it travels to another process: without what is on a device."""
+        return {"beams": self.beams, "curve": self.curve}
+
+    def points(self, frame: Frame) -> Measures:
+        """Expected beams on every object in every view, [view, object, 1], whether or not they return.
+
+        `frame`: a render of the LiDAR's panorama, `CameraModel.of_beams`, with all measures.
+        """
+        device = frame.device.alias
+        if device not in self._weight:
+            self._weight[device] = wp.array(self.beams.density(), dtype=float, device=device)
+        return frame.weighted_area(self._weight[device])
+
+    def detected(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> wp.array:
+        """The probability that each view finds each object, nothing taped; float [view, object].
+
+        ``frame``: a render of the scene with all measures.
+        """
+        return self.returned(frame, scene, position_ego_m)[1]
+
+    def returned(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> tuple[wp.array, wp.array]:
+        """What `of_points` gives for a render."""
+        away_m, _ = away_from(scene, position_ego_m.numpy())
+        return self.of_points(self.points(frame).value, away_m, scene.road_user_index)
+
+    def of_points(
+        self, points: wp.array, distance_m: wp.array | np.ndarray, road_user_index: np.ndarray
+    ) -> tuple[wp.array, wp.array]:
+        """Points that return, and the probability to find each object, recorded on the active tape.
+
+        Args:
+            points: Expected beams, float [view, object, 1]; gradients flow to them.
+            distance_m: Of every object from every view [m], float [view, object]; gradients flow to an array of Warp.
+            road_user_index: Kind of every object, index into `ROAD_USERS`, int [object].
+
+        Returns:
+            Both float [view, object].
+        """
+        device, shape = points.device, points.shape[:2]
+        returned, probability = (wp.zeros(shape, dtype=float, device=device, requires_grad=True) for _ in range(2))
+        if not isinstance(distance_m, wp.array):
+            distance_m = wp.array(distance_m, dtype=float, device=device)
+        wp.launch(
+            kernels.lidar_probability_kernel,
+            dim=shape,
+            inputs=[
+                points,
+                distance_m,
+                wp.array(self.curve.halves[road_user_index], dtype=float, device=device),
+                self.curve.steepness,
+                self.beams.range_m[0],
+            ],
+            outputs=[returned, probability],
+            device=device,
+        )
+        return returned, probability
+
+
+def away_from(scene: DeviceScene, position_ego_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of the objects' boxes from some places [m], [place, object], and their slopes to the places [..., 3]."""
+    centre_m = scene.upright_box.centre_ego_m.numpy()[: scene.vehicle_count]
+    away_m = position_ego_m[:, None].astype(np.float64) - centre_m
+    distance_m = np.maximum(np.linalg.norm(away_m, axis=2), 1e-6)
+    return distance_m, away_m / distance_m[..., None]
