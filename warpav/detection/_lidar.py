@@ -52,7 +52,7 @@ class LidarCurve:
 
     @property
     def halves(self) -> np.ndarray:
-        """h of each of `ROAD_USERS`, float32."""
+        """H of each of `ROAD_USERS`, float32."""
         return np.array([self._half(name) for name in ROAD_USERS], np.float32)
 
 
@@ -171,7 +171,7 @@ class LidarProbability:
 
 
 def away_from(scene: DeviceScene, position_ego_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances of the objects' boxes from some places [m], [place, object], and their slopes to the places [..., 3]."""
+    """Distances of the objects' boxes from places [m], [place, object], and their slopes to the places [..., 3]."""
     centre_m = scene.upright_box.centre_ego_m.numpy()[: scene.vehicle_count]
     away_m = position_ego_m[:, None].astype(np.float64) - centre_m
     distance_m = np.maximum(np.linalg.norm(away_m, axis=2), 1e-6)

@@ -212,17 +212,26 @@ class LidarJacobians:
         for scene in peopled:
             scene.upright_box  # noqa: B018 (found once, before threads ask for it)
 
-        def drawn(scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, np.ndarray]:
+        def drawn(scene: DeviceScene, renderer: Renderer) -> list[np.ndarray]:
             parts = [self._drawn(pose[chunk], scene, renderer) for chunk in chunks]
-            value, by_view = (np.concatenate(each)[: len(pose)] for each in zip(*parts, strict=True))
-            return value, by_view
+            return [np.concatenate(each)[: len(pose)] for each in zip(*parts, strict=True)]
 
         found = beside_each_other(drawn, peopled, renderers)
-        value, by_view = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
-        return value, placing_slope(self.mount, pose).chained(by_view)
+        points, by_view, distance_m, by_place = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
+        kind = np.concatenate([scene.road_user_index for scene in peopled])
+        leaves = [
+            wp.array(each, dtype=float, device=self.mount.device, requires_grad=True) for each in (points, distance_m)
+        ]
+        with wp.Tape() as tape:
+            _, value = self.probability.of_points(leaves[0], leaves[1], kind)
+        tape.backward(grads={value: wp.ones_like(value)})
+        by_points, by_distance = (_gradient_of(each) for each in leaves)
+        by_view = by_points * by_view
+        by_view[..., :3] += by_distance[..., None] * by_place
+        return value.numpy().astype(np.float64), placing_slope(self.mount, pose).chained(by_view)
 
-    def _drawn(self, pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities in one scene [camera, object], and their slopes to the views [camera, object, 7]."""
+    def _drawn(self, pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, ...]:
+        """Points on each object [camera, object, 1], their Jacobian [..., 7], distances and their slopes [..., 3]."""
         views = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1)
         frame = renderer.render(
             scene.raster.through(self._pane),
@@ -232,18 +241,7 @@ class LidarJacobians:
             content=Content.MEASURES,
         )
         points = self.probability.points(frame)
-        distance_m, by_place = away_from(scene, views.position_ego_m.numpy())
-        leaves = [
-            wp.array(each, dtype=float, device=renderer.device, requires_grad=True)
-            for each in (points.value.numpy(), distance_m)
-        ]
-        with wp.Tape() as tape:
-            _, found = self.probability.of_points(*leaves, scene.road_user_index)
-        tape.backward(grads={found: wp.ones_like(found)})
-        by_points, by_distance = (_gradient_of(each) for each in leaves)
-        by_view = by_points * points.jacobian.numpy()[:, :, 0]
-        by_view[..., :3] += by_distance[..., None] * by_place
-        return found.numpy().astype(np.float64), by_view
+        return points.value.numpy(), points.jacobian.numpy()[:, :, 0], *away_from(scene, views.position_ego_m.numpy())
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from warpav.optimisation._mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR, MOUNT_P
 from warpav.optimisation._mount_errors import MountErrors, outside_skin
 from warpav.optimisation._required_points import RequiredPoints
 from warpav.optimisation._tangent_model import HardPoints, Margins
-from warpav.optimisation.losses._scene_on_tape import ObjectProbability
+from warpav.optimisation.losses._scene_on_tape import CameraProbability, ObjectProbability
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import (
@@ -284,6 +284,7 @@ class SingleCameras:
             most, renderers = self._most_views(module), partial(self._maker(module).kept, self._renderers)
             self._kept_jacobians[kind] = LidarJacobians(self.mount, probability, renderers, most, pane)
         elif kind not in self._kept_jacobians:
+            assert isinstance(probability, CameraProbability)
             maker, streams = self._maker(module), gpu_share(_CUDA_STREAMS)
             self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,

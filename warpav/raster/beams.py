@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 PIXELS_PER_RAD = 2048 / (2.0 * math.pi)
 """Of panoramas, in both directions: two pixels and more on a pedestrian 50 m away."""
@@ -67,7 +68,12 @@ class Beams:
         if not 0.0 < self.rate_hz <= _MOST_RATE_HZ:
             raise ValueError(f"rate_hz: expected more than 0 and up to {_MOST_RATE_HZ:g}, got {self.rate_hz:g}")
         weight = self._cells
-        if len(weight) != len(up) or weight.shape[1] < 1 or not (weight >= 0.0).all() or not 0.0 < weight.sum() < math.inf:
+        if (
+            len(weight) != len(up)
+            or weight.shape[1] < 1
+            or not (weight >= 0.0).all()
+            or not 0.0 < weight.sum() < math.inf
+        ):
             raise ValueError(f"weight: expected numbers from 0 on for each of {len(up)} beams, got {_few(weight)}")
 
     @classmethod
@@ -86,10 +92,12 @@ class Beams:
         """
         shot = np.asarray(direction_rad, np.float64)
         if shot.ndim != 2 or shot.shape[1] != 2 or len(shot) < _LEAST_SHOTS or not np.isfinite(shot).all():
-            raise ValueError(f"pattern: expected azimuth and elevation of at least {_LEAST_SHOTS} shots, got {len(shot)}")
+            raise ValueError(
+                f"pattern: expected azimuth and elevation of at least {_LEAST_SHOTS} shots, got {len(shot)}"
+            )
         (right, low), (left, high) = shot.min(axis=0), shot.max(axis=0)
         parts = [max(2, math.ceil((end - first) / _CELL_RAD)) for first, end in ((low, high), (right, left))]
-        count, up, across = np.histogram2d(shot[:, 1], shot[:, 0], bins=parts)
+        count, up, _ = np.histogram2d(shot[:, 1], shot[:, 0], bins=parts)
         middle = 0.5 * (up[1:] + up[:-1])
         step_rad = (left - right) / max(len(shot) / parts[0], 1.0)
         weight = count[:, ::-1] * parts[0] * parts[1] / len(shot)
@@ -153,6 +161,6 @@ def _rounded(angle_rad: float) -> float:
     return math.radians(round(math.degrees(angle_rad), 6))
 
 
-def _few(values: object) -> str:
-    values = list(np.atleast_1d(values))
+def _few(values: ArrayLike) -> str:
+    values = list(np.ravel(values))
     return ", ".join(f"{each:g}" for each in values[:4]) + (" ..." if len(values) > 4 else "")

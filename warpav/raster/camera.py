@@ -64,9 +64,7 @@ class CameraModel:
         """The panorama of a LiDAR's beams; ``near_m``: its least range [m]."""
         width_px, height_px, focal_px, centre_px = beams.panorama
         lens = Lens.EQUIRECTANGULAR
-        return cls(
-            width_px, height_px, near_m=near_m, lens=lens, focal_px=focal_px, centre_px=centre_px, beams=beams
-        )
+        return cls(width_px, height_px, near_m=near_m, lens=lens, focal_px=focal_px, centre_px=centre_px, beams=beams)
 
     def __post_init__(self) -> None:
         if not all(size == int(size) and size >= 8 for size in (self.width_px, self.height_px)):

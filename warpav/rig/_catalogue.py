@@ -82,7 +82,8 @@ class BeamsForm(Form):
     """The beams of a LiDAR in a file."""
 
     elevation_deg: list[Number] = Field(
-        LEFT_OUT, description="rising elevations of the beams in degrees, upwards; with lines, the lowest and the highest"
+        LEFT_OUT,
+        description="rising elevations of the beams in degrees; with lines, the lowest and the highest",
     )
     lines: Annotated[int, Field(ge=2, le=4096)] = Field(LEFT_OUT, description="a whole number of evenly spread beams")
     azimuth_step_deg: Positive = Field(LEFT_OUT, description="degrees from a shot of a beam to the next, such as 0.2")
@@ -121,7 +122,9 @@ class BeamsForm(Form):
         near_m, far_m = self.range_m
         if self.pattern is not None:
             return Beams.of_pattern(np.radians(_pattern_deg(folder / self.pattern)), (near_m, far_m), self.rate_hz)
-        up_deg = self.elevation_deg if self.lines is None else np.linspace(*self.elevation_deg, self.lines).tolist()
+        up_deg = self.elevation_deg
+        if self.lines is not None:
+            up_deg = np.linspace(up_deg[0], up_deg[1], self.lines).tolist()
         first_deg, last_deg = self.azimuth_deg
         return Beams(
             tuple(map(math.radians, up_deg)),
@@ -168,7 +171,7 @@ class _ModuleForm(Form):
     network_px: _Pixels = Field(LEFT_OUT, description=_PIXELS_TEXT)
     network_by: Fitting = Field(Fitting.SCALING, strict=False)
     lens: Lens = Field(Lens.PINHOLE, strict=False)
-    fov_deg: Number = Field(LEFT_OUT, description="the horizontal field of view of the whole sensor in degrees, such as 100.0")
+    fov_deg: Number = Field(LEFT_OUT, description="degrees across the whole sensor, such as 100.0")
     vertical_fov_deg: Number = Field(LEFT_OUT, description="a number of degrees, such as 60.0")
     distortion: list[Number] = Field([], description="a list of finite numbers in OpenCV's order")
     housing: _HousingForm = Field(description="a mapping with size_m and maybe offset_m")

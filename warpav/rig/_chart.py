@@ -494,4 +494,7 @@ def with_middles(zones: Sequence[Zone], *, upwards: bool = False) -> tuple[Zone,
         and abs(zone.axes[2, 1]) < 1e-6
         and not zone.origin_m[1]
     ]
-    return (*zones, *(replace(zone, name=f"{zone.name}_middle", is_centred=True) for zone in across))
+    middles = (
+        replace(zone, name=f"{zone.name}_middle", kinds=(*zone.kinds, zone.name), is_centred=True) for zone in across
+    )
+    return (*zones, *middles)

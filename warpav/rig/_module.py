@@ -361,7 +361,8 @@ def _blind_place(model: CameraModel) -> str | None:
 
 
 def _range_problems(module: Module) -> Iterator[_Problem]:
-    reach_m = math.hypot(*(0.5 * size + abs(at) for size, at in zip(module.housing.size_m, module.housing.offset_m, strict=True)))
+    sizes = zip(module.housing.size_m, module.housing.offset_m, strict=True)
+    reach_m = math.hypot(*(0.5 * size + abs(at) for size, at in sizes))
     least_m, most_m = module.least_range_m, module.beams.range_m[0] if module.beams else math.inf
     if not (_is_number(least_m, reach_m) and (least_m or 0.0) < most_m):
         expected = f"metres from {reach_m:.3f}, the housing's farthest corner, to less than the range of {most_m:g}"

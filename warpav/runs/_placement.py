@@ -777,8 +777,7 @@ def _camera_probabilities(
     """How likely a camera is to detect, of a mount's modules each; one model stands for all of these."""
     models = probability if isinstance(probability, tuple) else (probability,)
     found = [
-        model if isinstance(model, LidarProbability) else CameraProbability.of(config.losses, model)
-        for model in models
+        model if isinstance(model, LidarProbability) else CameraProbability.of(config.losses, model) for model in models
     ]
     counts = config.rig.module_counts
     if counts is None or found == [None]:

@@ -255,7 +255,7 @@ class RigObservation:
     @property
     def _by_lidar(self) -> np.ndarray:
         """Whether some LiDAR finds an object, bool [object]."""
-        return np.zeros(len(self.in_frame), bool) if self.lidar_finds is None else self.lidar_finds.any(axis=0)
+        return np.zeros(len(self.in_frame), bool) if self.lidar_finds is None else np.any(self.lidar_finds, axis=0)
 
     @property
     def images(self) -> list[Observation]:
