@@ -107,7 +107,7 @@ def test_a_thin_pole_is_hit_as_often_as_its_angles_say():
     near_m = 20.0 - 0.025
     across = 2.0 * math.atan(0.025 / near_m) / EVEN.step_rad
     spacing = np.diff(EVEN.elevation_rad)[0]
-    assert found == pytest.approx(across * 2.0 * math.atan(0.8 / near_m) / spacing, rel=0.03)
+    assert found == pytest.approx(across * 2.0 * math.atan(0.8 / near_m) / spacing, rel=0.05)  # a 26th of its width
 
 
 def test_what_is_beyond_the_range_returns_nothing():

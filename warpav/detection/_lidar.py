@@ -15,11 +15,15 @@ import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
+from warpav.core.frames import FLU_FROM_RDF
+from warpav.core.warp_setup import checked_device
 from warpav.detection._detector import ROAD_USERS
+from warpav.detection._images import render_images
 from warpav.raster.areas import Measures
 from warpav.raster.beams import Beams
 from warpav.raster.frame import Frame
-from warpav.scene import DeviceScene
+from warpav.rig import Rig
+from warpav.scene import DeviceScene, Scene
 from warpav_kernels.detection import lidar_probability as kernels
 
 _LEAST_ROWS = 20
@@ -176,3 +180,46 @@ def away_from(scene: DeviceScene, position_ego_m: np.ndarray) -> tuple[np.ndarra
     away_m = position_ego_m[:, None].astype(np.float64) - centre_m
     distance_m = np.maximum(np.linalg.norm(away_m, axis=2), 1e-6)
     return distance_m, away_m / distance_m[..., None]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One scan of a LiDAR.
+
+    Attributes:
+        point_m: What returns in the ego frame [m], float64 [point, 3].
+        object_index: What each is on: 0 environment, 1 ego vehicle, 2 + k vehicle k of the scene, int32 [point].
+    """
+
+    point_m: np.ndarray
+    object_index: np.ndarray
+
+
+def scan(rig: Rig, scene: Scene, *, device: str = "cpu") -> dict[str, Scan]:
+    """One scan of every LiDAR of a rig: each beam in the middle of its cell, without noise, up to the greater range.
+
+    For pictures: distances are those of the panorama's pixels. Expected points are `LidarProbability.points`.
+
+    Args:
+        rig: LiDARs, and cameras, which are left out.
+        scene: The scene.
+        device: Warp device.
+
+    Returns:
+        Scans by the LiDAR's name.
+
+    Raises:
+        InputError: The device is not there.
+    """
+    lidars = [each for each in rig.cameras if each.model.beams is not None]
+    scans = {}
+    for lidar, image in zip(lidars, render_images(scene, lidars, device=checked_device(device)), strict=True):
+        beams = lidar.model.beams
+        assert beams is not None
+        direction, row, column = beams.shots()
+        distance_m, index = image.depth_m[row, column], image.object_index[row, column]
+        returns = distance_m <= beams.range_m[1]
+        turn = lidar.ego_from_camera[:3, :3] @ FLU_FROM_RDF.T
+        point_m = lidar.position_m + (distance_m[returns, None] * direction[returns]) @ turn.T
+        scans[lidar.name] = Scan(point_m, index[returns])
+    return scans

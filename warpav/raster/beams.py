@@ -146,6 +146,22 @@ class Beams:
         height = max(math.ceil((high - low) * focal), 8)
         return width, height, (focal, focal), (self.azimuth_rad[1] * focal, high * focal)
 
+    def shots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Directions of one scan, unit vectors float64 [shot, 3], and row and column of their pixels, int [shot].
+
+        Parts of ``weight`` that are empty are left out.
+        """
+        width, height, (fx, fy), (cx, cy) = self.panorama
+        count = max(round(self.sector_rad / self.step_rad), 1)
+        azimuth = self.azimuth_rad[1] - (np.arange(count) + 0.5) * self.step_rad
+        up, around = np.meshgrid(self.elevation_rad, azimuth, indexing="ij")
+        cells = self._cells
+        is_shot = cells[:, (np.arange(count) * cells.shape[1]) // count] > 0.0
+        up, around = up[is_shot], around[is_shot]
+        direction = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=1)
+        row, column = (cy - up * fy).astype(int), (cx - around * fx).astype(int)
+        return direction, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+
     def density(self) -> np.ndarray:
         """Expected beams for each pixel of the panorama, float32 [row, column]."""
         width, height, (fx, fy), (_, cy) = self.panorama

@@ -147,7 +147,7 @@ class RunPictures:
         save_rgb(np.hstack(images), self.folder.figure_path("rig"))
 
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
-        """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
+        """What the cameras of a rig see of a scene, by their names, without LiDARs; the own body is tinted."""
         from warpav.detection import render_images
         from warpav.view import own_body_tinted
 
@@ -157,6 +157,7 @@ class RunPictures:
         return {
             camera.name: dataclasses.replace(each, image_rgb=own_body_tinted(each.image_rgb, image.object_index))
             for camera, each, image in zip(rig.cameras, seen.cameras, images, strict=True)
+            if camera.model.beams is None
         }
 
     def _probability(self, model: CameraModel) -> DetectionProbability:

@@ -123,6 +123,7 @@ def plot(
     - ``redundancy`` +: how many cameras see a road user by sector and distance, and without the camera whose loss
       leaves most ground to no camera, whatever traffic is there.
     - ``resolution`` +: pixels per degree along the horizon, and over azimuth and elevation.
+    - ``points``: one scan of each LiDAR in ``scene``, from above and over azimuth and elevation.
     - ``contact``: the images of all cameras in ``scene``, with their angles and the share of the own body.
 
     Options of the view of a rig:
@@ -333,6 +334,15 @@ def _draw_contact(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: S
     if scene is None:
         raise ArgumentError("scene", "expected the scene for kind='contact', got none; give scene=wa.town([0])[0]")
     return contact_figure(rig, scene if ego is None else scene.around(ego), heading=canvas.title)
+
+
+@draws(Rig, "points", is_figure=True)
+def _draw_points(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:
+    from warpav.view.figures._points import points_figure
+
+    if scene is None:
+        raise ArgumentError("scene", "expected the scene for kind='points', got none; give scene=wa.town([0])[0]")
+    return points_figure(rig=rig, scene=scene if ego is None else scene.around(ego), heading=canvas.title)
 
 
 def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
