@@ -4,7 +4,7 @@ from typing import Final
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
-from warpav.detection import Detections, Detector, render
+from warpav.detection import Detections, Detector, render, scan
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig import (
@@ -93,6 +93,7 @@ __all__ = [
     "resume",
     "rig_by_hand",
     "robustness",
+    "scan",
     "town",
     "write_rig",
     "write_scenes",

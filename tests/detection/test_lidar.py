@@ -12,7 +12,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 import warpav as wa
 from tests.driving_scene import SilentDetector
 from warpav.core.errors import InputError
-from warpav.detection import LidarCurve, LidarProbability, away_from, fit_lidar_curve
+from warpav.detection import LidarCurve, LidarProbability, away_from, fit_lidar_curve, read_findings
 from warpav.optimisation import CameraMount, ObjectiveOptions
 from warpav.optimisation._mount import MOUNT_POSE_SIZE
 from warpav.optimisation._single_cameras import SingleCameras
@@ -131,17 +131,31 @@ def test_the_curve_rises_from_nothing_and_is_that_of_the_kernel():
     assert found.numpy()[0] == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_table_of_findings_gives_the_curve_that_made_it():
+def test_a_table_of_findings_gives_the_curve_that_made_it(tmp_path):
     rng, true = np.random.default_rng(0), LidarCurve({"vehicle": 12.0, "pedestrian": 6.0}, 3.0)
     points, kind = rng.exponential(15.0, 4000), rng.choice(["vehicle", "pedestrian"], 4000)
     chance = np.array([true.of(n, name) for n, name in zip(points, kind, strict=True)])
-    found = fit_lidar_curve(points, kind, rng.random(4000) < chance)
+    is_found = rng.random(4000) < chance
+    named = np.where(kind == "vehicle", "lorry", kind)
+    rows = [f"{n},{name},{int(hit)}" for n, name, hit in zip(points, named, is_found, strict=True)]
+    table = tmp_path / "found.csv"
+    table.write_text("\n".join(["points,class,found", *rows]))
+    found = fit_lidar_curve(*read_findings(table))
     assert found.points_for_half["vehicle"] == pytest.approx(12.0, rel=0.1)
     assert found.points_for_half["pedestrian"] == pytest.approx(6.0, rel=0.1)
     assert found.points_for_half["cyclist"] == 5.0
     assert found.steepness == pytest.approx(3.0, rel=0.1)
     with pytest.raises(InputError, match="some found and some not, got 30 rows, 30 found"):
         fit_lidar_curve(points[:30], kind[:30], np.ones(30, bool))
+    for text, told in (
+        ("points,class,hit\n", ":1: expected the columns points, class, found"),
+        ("points,class,found\n5,lorry,yes\n", ":2: found: expected 0 or 1, got 'yes'"),
+        ("points,class,found\n-1,lorry,1\n", ":2: points: expected a number from 0 on, got '-1'"),
+        ("points,class,found\n1,lorry\n", ":2: expected 3 values, got 2"),
+    ):
+        table.write_text(text)
+        with pytest.raises(InputError, match=told):
+            read_findings(table)
 
 
 def test_the_slope_of_single_lidars_is_that_of_their_probabilities():

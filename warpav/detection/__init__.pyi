@@ -21,8 +21,10 @@ from warpav.detection._images import render as render
 from warpav.detection._images import render_images as render_images
 from warpav.detection._lidar import LidarCurve as LidarCurve
 from warpav.detection._lidar import LidarProbability as LidarProbability
-from warpav.detection._lidar import away_from as away_from
 from warpav.detection._lidar import Scan as Scan
+from warpav.detection._lidar import away_from as away_from
+from warpav.detection._lidar import fit_lidar_curve as fit_lidar_curve
+from warpav.detection._lidar import read_findings as read_findings
 from warpav.detection._lidar import scan as scan
 from warpav.detection._miss_rate import SUREST as SUREST
 from warpav.detection._miss_rate import expected_miss_rate as expected_miss_rate

@@ -6,14 +6,19 @@ table of a user's own (`fit_lidar_curve`).
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from warpav.core.bounded_files import read_text
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF
 from warpav.core.warp_setup import checked_device
@@ -23,7 +28,7 @@ from warpav.raster.areas import Measures
 from warpav.raster.beams import Beams
 from warpav.raster.frame import Frame
 from warpav.rig import Rig
-from warpav.scene import DeviceScene, Scene
+from warpav.scene import DeviceScene, Scene, road_user_of
 from warpav_kernels.detection import lidar_probability as kernels
 
 _LEAST_ROWS = 20
@@ -97,6 +102,42 @@ def fit_lidar_curve(
     first = np.log([start.steepness, *(start.points_for_half.get(name, 5.0) for name in kinds)])
     bounds = [(np.log(0.2), np.log(_LARGEST_STEEPNESS)), *((np.log(0.1), np.log(1e4)) for _ in kinds)]
     return curve(minimize(loss, first, bounds=bounds, method="L-BFGS-B").x)
+
+
+def read_findings(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A table of what a LiDAR's detector found: what `fit_lidar_curve` takes.
+
+    A CSV file with the columns points, class (a road user or a category, such as lorry) and found (0 or 1), and no
+    others but range_m, which is not used: points are those that returned.
+
+    Raises:
+        InputError: The file cannot be read or holds something else; the text names the row.
+    """
+    rows = list(csv.reader(io.StringIO(read_text(file))))
+    names = [name.strip() for name in rows[0]] if rows else []
+    needed, strange = {"points", "class", "found"}, set(names) - {"points", "class", "found", "range_m"}
+    if needed - set(names) or strange or len(set(names)) < len(names):
+        raise InputError(
+            f"{file}:1: expected the columns points, class, found and maybe range_m, got {', '.join(names)}"
+        )
+    points, kinds, found = [], [], []
+    for number, row in enumerate(rows[1:], 2):
+        if len(row) != len(names):
+            raise InputError(f"{file}:{number}: expected {len(names)} values, got {len(row)}")
+        value = dict(zip(names, (each.strip() for each in row), strict=True))
+        try:
+            count = float(value["points"])
+        except ValueError:
+            count = math.nan
+        if not 0.0 <= count < math.inf:
+            raise InputError(f"{file}:{number}: points: expected a number from 0 on, got {value['points']!r}")
+        if value["found"] not in ("0", "1"):
+            raise InputError(f"{file}:{number}: found: expected 0 or 1, got {value['found']!r}")
+        name = value["class"]
+        points.append(count)
+        kinds.append(name if name in ROAD_USERS else road_user_of(name))
+        found.append(value["found"] == "1")
+    return np.array(points), np.array(kinds, object), np.array(found, bool)
 
 
 @dataclass(frozen=True, eq=False)
