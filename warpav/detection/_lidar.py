@@ -113,7 +113,7 @@ def read_findings(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Raises:
         InputError: The file cannot be read or holds something else; the text names the row.
     """
-    rows = list(csv.reader(io.StringIO(read_text(file))))
+    rows = list(csv.reader(io.StringIO(read_text(file, "a table of findings"))))
     names = [name.strip() for name in rows[0]] if rows else []
     needed, strange = {"points", "class", "found"}, set(names) - {"points", "class", "found", "range_m"}
     if needed - set(names) or strange or len(set(names)) < len(names):

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from warpav.core.bounded_files import read_text
 from warpav.core.errors import InputError
 from warpav.core.records import LEFT_OUT, Form, Number, Point2, Point3, Positive, read_form
 from warpav.core.section import mistake
@@ -139,12 +140,7 @@ class BeamsForm(Form):
 def _pattern_deg(file: Path) -> np.ndarray:
     """Azimuth and elevation of every shot of a file [deg], float64 [shot, 2]."""
     expected = "columns azimuth_deg,elevation_deg and numbers below"
-    try:
-        if file.stat().st_size > _MOST_SHOTS_BYTES:
-            raise InputError(f"{file}: expected one scan of at most {_MOST_SHOTS_BYTES // 10**6} MB, got more")
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: pattern: expected {expected}, got no text ({error})") from None
+    lines = read_text(file, "a pattern of a LiDAR", bytes_max=_MOST_SHOTS_BYTES).splitlines()
     if not lines or [name.strip() for name in lines[0].split(",")] != ["azimuth_deg", "elevation_deg"]:
         raise InputError(f"{file}:1: pattern: expected {expected}, got {lines[0] if lines else 'nothing'!r}")
     shots = []

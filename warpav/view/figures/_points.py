@@ -39,7 +39,7 @@ def points_figure(*, rig: Rig, scene: Scene, heading: str | None = None) -> Any:
             place_m = next(each.position_m for each in rig.cameras if each.name == name)
             _draw_around(below, found, place_m, colour[name])
             below.set_title(name, loc="left")
-        below.set_xlabel("azimuth, to the left positive [°]")
+            below.set_xlabel("azimuth, to the left positive [°]" if k == len(scans) - 1 else "")
         return figure
 
 
