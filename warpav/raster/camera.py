@@ -134,6 +134,15 @@ class CameraModel:
         return float(angle[1] - angle[0])
 
     @property
+    def size_text(self) -> str:
+        """Columns and rows of the image, or the lines of a LiDAR, as tables have it."""
+        return f"{len(self.beams.elevation_rad)} lines" if self.beams else f"{self.width_px} x {self.height_px}"
+
+    @property
+    def lens_text(self) -> str:
+        return "lidar" if self.beams else str(self.lens)
+
+    @property
     def half_field(self) -> tuple[float, float]:
         """Half the width and half the height of an image around the optical axis [focal lengths]."""
         return self._radius_at(0.5 * self.fov_rad), 0.5 * self.height_px / self._lens_px[1]

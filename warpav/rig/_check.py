@@ -55,7 +55,7 @@ def description(camera: RigCamera) -> str:
     model = camera.model
     return (
         f"{camera.name}: at {x:.3f} {y:.3f} {z:.3f} m, yaw {yaw:.1f} pitch {pitch:.1f} roll {roll:.1f} deg, "
-        f"{model.lens} {math.degrees(model.fov_rad):.1f} deg, {model.width_px} x {model.height_px} px"
+        f"{model.lens_text} {math.degrees(model.fov_rad):.1f} deg, {model.size_text}{'' if model.beams else ' px'}"
     )
 
 

@@ -227,8 +227,8 @@ def _table_row(camera: RigCamera) -> list[str]:
     model = camera.model
     position = [f"{value:.3f}" for value in camera.position_m]
     angles = [f"{math.degrees(angle):.1f}" for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)]
-    size = f"{model.width_px} x {model.height_px}"
-    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens), camera.module or "-"]
+    image = model.size_text, model.lens_text
+    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", *image, camera.module or "-"]
 
 
 _POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"

@@ -312,11 +312,24 @@ def _figure_of_rigs(module: str, kind: str, *further: str) -> None:
     def draw(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None, **parts: Any) -> Drawing:  # noqa: ANN401
         figure = getattr(importlib.import_module(f"warpav.view.figures._{module}"), f"{kind}_figure")
         rigs = _by_name(rig) if kind == "ground" else _with_widths(_by_name(rig))
+        rigs = rigs if kind in _GEOMETRIC else {name: _cameras_of(each, kind) for name, each in rigs.items()}
         vehicle = () if kind == "resolution" else (_vehicle(ego, scene, kind),)  # there the body is left out of account
         return figure(rigs, *vehicle, **parts, heading=canvas.title)
 
     for cls in (Rig, Mapping):
         draws(cls, kind, is_figure=True, options=("ego", "scene", *further))(draw)
+
+
+_GEOMETRIC = ("ground", "near_field")
+"""Kinds that ask what is in view, whether of a camera or of a LiDAR; all others count pixels of images."""
+
+
+def _cameras_of(rig: Rig, kind: str) -> Rig:
+    """The rig without its LiDARs, which have no images."""
+    cameras = [each for each in rig.cameras if each.model.beams is None]
+    if not cameras:
+        raise ArgumentError("rig", f"expected a rig with a camera for kind={kind!r}, got LiDARs alone; ask for points")
+    return Rig(cameras) if len(cameras) < len(rig.cameras) else rig
 
 
 _figure_of_rigs("plan", "plan")
