@@ -124,7 +124,10 @@ def test_a_mistake_is_one_line_with_its_place(case, tmp_path):
     assert len(str(caught.value).splitlines()) == 1, str(caught.value)
 
 
-@pytest.mark.parametrize("name", list(builtin_modules()))
+SHIPPED = builtin_modules()
+
+
+@pytest.mark.parametrize("name", [name for name, each in SHIPPED.items() if not each.beams])
 def test_a_shipped_module_is_what_its_name_says(name):
     used = builtin_modules()[name]
     assert used.name == name
@@ -145,6 +148,70 @@ def test_a_shipped_module_is_what_its_name_says(name):
     # an optical axis has as many pixels a degree as the lens says
     focal_px = network.intrinsics[0, 0]
     assert used.pixels_per_degree == pytest.approx(math.radians(focal_px))
+
+
+@pytest.mark.parametrize("name", [name for name, each in SHIPPED.items() if each.beams])
+def test_a_shipped_lidar_is_what_its_name_says(name):
+    used, beams = SHIPPED[name], SHIPPED[name].beams
+    kind, number = re.search(r"lidar_(flat_|blind_spot)?(\d+)?", name).groups()
+    if kind is None:
+        assert (len(beams.elevation_rad), beams.is_all_round) == (int(number), True)
+    elif number is not None:
+        assert math.degrees(beams.sector_rad) == pytest.approx(float(number))
+    assert "illustrative" in used.source
+    assert used.camera_model().near_m == used.least_range_m > 0.5 * math.hypot(*used.housing.size_m)
+    assert beams.density().sum() == pytest.approx(beams.count, rel=1e-3)
+
+
+LIDAR = """\
+modules:
+  - name: mine
+    kind: lidar
+    beams: {elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2, range_m: [80, 150], least_range_m: 0.4}
+    housing: {size_m: [0.1, 0.09, 0.1]}
+    price: {value: 12, unit: EUR}
+    zones: [roof]
+    source: data sheet 8
+"""
+
+
+def test_a_lidar_is_read_and_its_rig_comes_back(tmp_path):
+    (found,) = read_modules(catalogue(tmp_path, LIDAR)).values()
+    assert found.beams.count == 57_600
+    assert np.degrees(found.beams.elevation_rad[:2]) == pytest.approx([-25, -25 + 40 / 31])
+    pattern = tmp_path / "scan.csv"
+    shots = np.random.default_rng(0).uniform([-30, -10], [30, 10], (4000, 2))
+    pattern.write_text("azimuth_deg,elevation_deg\n" + "\n".join(f"{a},{e}" for a, e in shots))
+    by_angles = "elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2"
+    (scanner,) = read_modules(catalogue(tmp_path, LIDAR.replace(by_angles, "pattern: scan.csv"))).values()
+    assert scanner.beams.count == pytest.approx(4000, rel=0.01)
+    cameras = [
+        wa.Camera(each.name + str(k), [k, 0, 2], model=each.camera_model()) for k, each in enumerate((found, scanner))
+    ]
+    wa.write_rig(wa.Rig(cameras), tmp_path / "rig.yaml")
+    back = wa.read_rig(tmp_path / "rig.yaml")
+    assert [each.model for each in back.cameras] == models
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("elevation_deg: [-25, 15]", "elevation_deg: [15, -25]", "beams: elevation_rad: expected 2 to 4096 ascending"),
+        ("range_m: [80, 150]", "range_m: [0, 150]", "beams: range_m: expected positive, ascending"),
+        ("least_range_m: 0.4", "least_range_m: 0.01", "least_range_m: expected metres from 0.084"),
+        ("lines: 32, ", "lines: 32, rate_hz: 5000, ", "beams: rate_hz: expected more than 0 and up to 1000"),
+        ("azimuth_step_deg: 0.2, ", "", "beams.azimuth_step_deg: expected degrees from a shot"),
+        ("    kind: lidar\n", "", "sensor_px: expected columns and rows"),
+        ("    zones: [roof]\n", "    zones: [roof]\n    lens: fisheye\n", "lens: expected nothing of another kind"),
+        ("elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2", "pattern: none.csv", "none.csv"),
+    ],
+)
+def test_a_mistake_in_a_lidar_is_one_line(tmp_path, old, new, told):
+    assert LIDAR.count(old) == 1
+    with pytest.raises(InputError) as caught:
+        read_modules(catalogue(tmp_path, LIDAR.replace(old, new)))
+    assert told in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_the_table_says_what_the_network_gets(tmp_path):

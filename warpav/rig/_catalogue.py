@@ -167,7 +167,9 @@ class _ModuleForm(Form):
     network_px: _Pixels = Field(LEFT_OUT, description=_PIXELS_TEXT)
     network_by: Fitting = Field(Fitting.SCALING, strict=False)
     lens: Lens = Field(Lens.PINHOLE, strict=False)
-    fov_deg: Number = Field(LEFT_OUT, description="degrees across the whole sensor, such as 100.0")
+    fov_deg: Number = Field(
+        LEFT_OUT, description="the horizontal field of view of the whole sensor in degrees, such as 100.0"
+    )
     vertical_fov_deg: Number = Field(LEFT_OUT, description="a number of degrees, such as 60.0")
     distortion: list[Number] = Field([], description="a list of finite numbers in OpenCV's order")
     housing: _HousingForm = Field(description="a mapping with size_m and maybe offset_m")

@@ -259,7 +259,7 @@ def camera_cells(camera: RigCamera) -> tuple[str, str]:
     """Cells of a camera in a table: module or lens, size of the image."""
     model = camera.model
     lens = "" if model.lens == "pinhole" else f" {model.lens}"
-    return camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}", f"{model.width_px} x {model.height_px}"
+    return camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}", model.size_text
 
 
 def badge_pt(text: str) -> np.ndarray:
