@@ -185,9 +185,8 @@ def test_a_lidar_is_read_and_its_rig_comes_back(tmp_path):
     by_angles = "elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2"
     (scanner,) = read_modules(catalogue(tmp_path, LIDAR.replace(by_angles, "pattern: scan.csv"))).values()
     assert scanner.beams.count == pytest.approx(4000, rel=0.01)
-    cameras = [
-        wa.Camera(each.name + str(k), [k, 0, 2], model=each.camera_model()) for k, each in enumerate((found, scanner))
-    ]
+    models = [each.camera_model() for each in (found, scanner)]
+    cameras = [wa.Camera(f"lidar_{k}", [k, 0, 2], model=model) for k, model in enumerate(models)]
     wa.write_rig(wa.Rig(cameras), tmp_path / "rig.yaml")
     back = wa.read_rig(tmp_path / "rig.yaml")
     assert [each.model for each in back.cameras] == models
