@@ -104,6 +104,11 @@ class NetworkFile:
         )
 
     @property
+    def is_end_to_end(self) -> bool:
+        """Whether its metadata say that it suppresses by itself, by its head or by what was appended to it."""
+        return self.metadata.get("end2end") == "True" or "'nms': True" in self.metadata.get("args", "")
+
+    @property
     def is_ultralytics_rtdetr(self) -> bool:
         """Whether its metadata name ultralytics' RT-DETR; older exports name no head, but the model."""
         head = self.metadata.get("head")
@@ -120,6 +125,8 @@ def metadata_labels(path: Path, metadata: Mapping[str, str]) -> tuple[str, ...] 
         value = ast.literal_eval(text)
         if not isinstance(value, (list, tuple, dict)) or not value:
             raise TypeError
+        if isinstance(value, dict):  # whose keys are texts in JSON
+            value = {int(key): label for key, label in value.items()}
         return tuple(str(value[index]) for index in range(len(value)))
     except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError) as error:
         raise InputError(
@@ -257,6 +264,12 @@ class Family(ABC):
         return self.image.shape[0] if len(self.image.shape) == 4 else 1
 
     @property
+    def _step_px(self) -> int:
+        """What sides of a dynamic input are multiples of: as the metadata say, else as the family's usually are."""
+        stated = self.file.metadata.get("stride", "")
+        return max(self.stride_px, int(stated)) if stated.isdecimal() and int(stated) <= 256 else self.stride_px
+
+    @property
     def takes_unit_rgb(self) -> bool:
         """Whether the input is RGB in 0..1, float32, so that such tensors go in as they are."""
         return not self.is_bgr and self.white == 1.0 and self.image.dtype == "float32"
@@ -275,7 +288,7 @@ class Family(ABC):
         scale = 1.0 if input_px is None else input_px / max(height_px, width_px)
         fixed = self.image.shape[-2:]
         rows, columns = (
-            max(1, math.ceil(round(side * scale) / self.stride_px)) * self.stride_px for side in (height_px, width_px)
+            max(1, math.ceil(round(side * scale) / self._step_px)) * self._step_px for side in (height_px, width_px)
         )
         return (fixed[0] or rows, fixed[1] or columns)
 
