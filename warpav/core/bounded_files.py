@@ -39,6 +39,8 @@ DATA_SET_NODES_MAX = 5_000_000
 """Values in them."""
 STREAM_NODES_MAX = 30_000_000
 """Values in those that are read part by part and never held."""
+LFS_SIGNATURE = b"version https://git-lfs.github.com/spec/"
+"""What a file begins with whose content Git LFS keeps elsewhere."""
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """What a PNG file begins with."""
 
@@ -68,9 +70,13 @@ def read_parts(
     try:
         with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as stream:
             while left >= 0 and (part := stream.read(part_bytes)):
+                if left == bytes_max and part.startswith(LFS_SIGNATURE):
+                    raise InputError(f"{file}: expected {kind}, got a pointer of Git LFS to it; run: git lfs pull")
                 left -= len(part)
                 if left >= 0:
                     yield part
+    except InputError:
+        raise
     except (OSError, EOFError, zlib.error, ValueError) as error:  # the last for a name that no file can have
         reason = (error.strerror if isinstance(error, OSError) else None) or _one_line(error)
         raise InputError(f"{file}: expected {kind}, got: {reason}") from None

@@ -10,7 +10,7 @@ import mmap
 from collections.abc import Iterator
 from pathlib import Path
 
-from warpav.core.bounded_files import LEVELS_MAX, is_inner_path, refuse_levels
+from warpav.core.bounded_files import LEVELS_MAX, LFS_SIGNATURE, is_inner_path, refuse_levels
 from warpav.core.errors import InputError
 
 # fields that lead from a model to its tensors, by message: field number -> message
@@ -32,6 +32,8 @@ def check_external_data(path: Path) -> None:
     try:
         with path.open("rb") as file:
             content = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+        if content[: len(LFS_SIGNATURE)] == LFS_SIGNATURE:
+            raise InputError(f"{path}: expected an ONNX file, got a pointer of Git LFS to it; run: git lfs pull")
         names = [bytes(location).decode() for location in _locations(content, "model", 0)]
     except OSError as error:
         raise InputError(f"{path}: expected an ONNX file, got: {error.strerror}") from None
