@@ -102,8 +102,9 @@ class VehicleFile:
     usual: Reading  # default reading of this file format
     is_declared: bool  # whether warpav wrote the file, so that its axes and origin are as the user stated them
     part: str  # part of the file, in words
-    holder: tuple[str, np.ndarray] | None  # a part many times as large as all others, which it holds, and their size
     notes: tuple[str, ...] = ()  # what its owner should know of how it was read, such as textures that are missing
+    # A part many times as large as all others, which it holds, and their size in the file's units and axes, [3]
+    holder: tuple[str, np.ndarray] | None = None
 
     def in_ego_frame(self, reading: Reading) -> Mesh:
         """The vehicle in the ego frame."""
@@ -252,8 +253,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         usual,
         is_scene or is_own,
         "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
-        _holder([(name, mesh.vertex[np.unique(mesh.triangle)]) for name, (mesh, _) in found]),
         tuple(notes),
+        _holder([(name, mesh.vertex[np.unique(mesh.triangle)]) for name, (mesh, _) in found]),
     )
 
 

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +97,7 @@ def _literal(file: Path) -> Any:  # noqa: ANN401
         except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
             pass
         try:  # of an agent's module what its method gives
-            found = [ast.literal_eval(node.value) for node in ast.walk(ast.parse(text)) if _gives_list(node)]
+            found = [ast.literal_eval(node) for each in ast.walk(ast.parse(text)) for node in _lists_given(each)]
         except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
             found = []
         found = [each for each in found if any(isinstance(sensor, dict) for sensor in each)]
@@ -106,8 +106,9 @@ def _literal(file: Path) -> Any:  # noqa: ANN401
         return found[0]
 
 
-def _gives_list(node: ast.AST) -> TypeGuard[ast.Return | ast.Assign]:
-    return isinstance(node, (ast.Return, ast.Assign)) and isinstance(node.value, ast.List)
+def _lists_given(node: ast.AST) -> list[ast.List]:
+    value = node.value if isinstance(node, (ast.Return, ast.Assign)) else None
+    return [value] if isinstance(value, ast.List) else []
 
 
 def _with_numbers(sensor: object) -> object:

@@ -77,7 +77,7 @@ class Record:
     def unread(self, *harmless: str) -> Iterator[str]:
         """The keys below that no reader asked for, but those that are harmless; without the numbers of lists."""
         above = {location[:k] for location in self._asked for k in range(len(location) + 1)}
-        waiting = [self]
+        waiting: list[Record] = [self]
         while waiting:
             record = waiting.pop()
             is_list = isinstance(record.value, list)
