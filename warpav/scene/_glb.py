@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
+import logging
 import math
 import re
 import struct
@@ -33,16 +34,19 @@ from warpav.core.bounded_files import (
 )
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
-from warpav.core.records import Point2, Point3, Record, Word, read_record
+from warpav.core.records import Point2, Point3, Record, Word, read_record, unread, unread_text
 from warpav.raster.mesh import Mesh
 from warpav.scene._scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
 if TYPE_CHECKING:
     import trimesh
 
+_logger = logging.getLogger(__name__)
 _SCHEMA = "warpav-scene/1"
 _ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
 _VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
+_KNOWN_NODES = (_VEHICLE_PREFIX, _OTHER_PREFIX, ENVIRONMENT_NODE, EGO_NODE)
+_HARMLESS = ("schema", "frame", "units", "role")
 _EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
 GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 """(x, y, z) in the ego frame is (x, z, -y) in glTF."""
@@ -121,7 +125,7 @@ def read_scene(path: str | Path) -> Scene:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such scene file; write one with `warpav scenes make`")
-    data, _ = bounded_mesh(path, "glb", str(path))
+    data, missed = bounded_mesh(path, "glb", str(path))
     if data[:4] != b"glTF":
         raise InputError(f"{path}: expected a GLB file (it starts with 'glTF'), got {data[:4]!r}; export binary glTF")
     try:
@@ -138,11 +142,12 @@ def read_scene(path: str | Path) -> Scene:
     count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in nodes)
     if count > TRIANGLES_MAX:
         raise InputError(f"{path}: expected at most {TRIANGLES_MAX:,} triangles in all nodes, got {count:,}")
-    users = []
+    users, strange = [], [f"node {name!r}" for name in nodes if not name.startswith(_KNOWN_NODES)]
     for name, extras in nodes.items():
         if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX)):
             where = f"{path}: node '{name}'"
             one = read_record(_Extras, extras, f"{where}: extras")
+            strange += [f"extras.{key}" for key in unread(one)]
             box = Box(np.array(one.box_center_m), np.array(one.box_size_m), float(np.radians(one.box_yaw_deg)))
             velocity = None if one.velocity_ego_m_s is None else np.array(one.velocity_ego_m_s)
             users.append(Vehicle(one.instance_id, one.category, _read_mesh(file, name, where), box, velocity))
@@ -151,6 +156,10 @@ def read_scene(path: str | Path) -> Scene:
     if count > 1:
         raise InputError(f"{path}: instance_id must be unique, got {instance_id} {count} times")
     about = read_record(_SceneExtras, file.metadata or {}, f"{path}: scene extras")
+    strange += [f"scene extras.{key}" for key in unread(about)]
+    missed += [unread_text(key for key in strange if key.partition("extras.")[2] not in _HARMLESS)]
+    for text in filter(None, missed):
+        _logger.warning("%s: %s", path, text)
     scene = Scene(
         path.stem if about.name is None else about.name,
         _read_mesh(file, ENVIRONMENT_NODE, f"{path}: node '{ENVIRONMENT_NODE}'"),
@@ -228,7 +237,7 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> tuple[bytes, list[str]]
 
     Positions of a GLB that are normalised integers come as floats, because trimesh takes them for plain numbers.
     """
-    unread: list[str] = []
+    missed: list[str] = []
     kind = f"a readable {suffix} file"
     content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
     try:
@@ -243,14 +252,14 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> tuple[bytes, list[str]]
         if suffix == "dae":
             parse_xml(content, "", "COLLADA", nodes_max=DATA_SET_NODES_MAX)
         elif suffix == "gltf":
-            unread, _ = _checked_document(content)
+            missed, _ = _checked_document(content)
         elif suffix == "glb" and content.startswith(b"glTF"):
             end = _GLB_HEAD + int.from_bytes(content[12:16], "little")
-            unread, changed = _checked_document(content[_GLB_HEAD:end], content[end:])
+            missed, changed = _checked_document(content[_GLB_HEAD:end], content[end:])
             content = changed or content
     except InputError as error:
         raise InputError(f"{place}: expected {kind}, got: {error}; export it again") from None
-    return content, unread
+    return content, missed
 
 
 _READ = re.compile(r"KHR_(mesh_quantization|materials_.*|lights_punctual|xmp.*)|EXT_texture_webp")
@@ -267,18 +276,18 @@ def _checked_document(content: bytes, rest: bytes | None = None) -> tuple[list[s
     trimesh takes memory for what its arrays state, each counted where it is named; it passes over much without a word.
     """
     document = parse_json(content.rstrip(b"\0"), "", "a glTF document", nodes_max=DATA_SET_NODES_MAX)
-    changed, total, unread = None, 0.0, []
+    changed, total, missed = None, 0.0, []
     try:
         required = set(document.get("extensionsRequired", ()))
         others = {name for name in (*required, *document.get("extensionsUsed", ())) if not _READ.fullmatch(name)}
         for name in sorted(others):
             if name in required - {"KHR_texture_transform"} or _MISSED.fullmatch(name):
                 raise InputError(f"the extension {name}, which is not read: leave it out")
-        unread += [f"the extension {name} is not read" for name in sorted(others)]
+        missed += [f"the extension {name} is not read" for name in sorted(others)]
         if document.get("skins"):
-            unread.append("skeletons are not applied: what is bound to one may lie elsewhere")
+            missed.append("skeletons are not applied: what is bound to one may lie elsewhere")
         if any(any(each.get("weights", ())) for key in ("meshes", "nodes") for each in document.get(key, ())):
-            unread.append("morph targets are not applied")
+            missed.append("morph targets are not applied")
         for view in document.get("bufferViews", ()):
             total += _size(view["byteLength"])
         for accessor in document.get("accessors", ()):
@@ -299,7 +308,7 @@ def _checked_document(content: bytes, rest: bytes | None = None) -> tuple[list[s
         if isinstance(error, InputError):
             raise
         # it is no glTF, which trimesh says better
-    return unread, changed
+    return missed, changed
 
 
 def _with_floats(document: dict[str, Any], normalised: list[dict[str, Any]], rest: bytes) -> bytes:

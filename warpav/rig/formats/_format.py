@@ -22,7 +22,7 @@ from warpav.core.frames import (
     rotation_from_yaw_pitch_roll,
     yaw_pitch_roll_from_rotation,
 )
-from warpav.core.records import nearest, place_of
+from warpav.core.records import nearest, place_of, unread_text
 from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens
@@ -165,14 +165,10 @@ class Record:
         return rotation_from_quaternion(np.array(quaternion))
 
 
-_TOLD = 8
-
-
 def unread_note(file: Path, keys: Iterable[str]) -> tuple[str, ...]:
     """The note that names what of a file is not read; none where nothing is named."""
-    names = list(dict.fromkeys(keys))
-    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
-    return (f"{file}: not read: {', '.join(names[:_TOLD])}{more}",) if names else ()
+    text = unread_text(keys)
+    return (f"{file}: {text}",) if text else ()
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
