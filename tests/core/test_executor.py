@@ -211,6 +211,27 @@ def test_control_groups_limit_the_cores(tmp_path, groups, own, expected):
     assert cores._quota_cores(tmp_path, tmp_path / "own") == expected
 
 
+@pytest.mark.parametrize(
+    ("groups", "own", "expected"),
+    [
+        ({"memory.max": "max"}, "0::/", None),
+        ({"memory.max": f"{8 * 2**30}", "job/memory.max": f"{3 * 2**30}"}, "0::/job", 3),
+        ({"memory.max": "1000000"}, "0::/", 1),
+        ({"memory/memory.limit_in_bytes": f"{2 * 2**30}"}, "4:memory:/docker/1", 2),
+        ({"memory/memory.limit_in_bytes": "9223372036854771712"}, "4:memory:/", None),
+    ],
+)
+def test_control_groups_limit_the_processes_by_their_memory(tmp_path, monkeypatch, groups, own, expected):
+    for name, text in groups.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / "own").write_text(own)
+    limit_bytes = cores._limit_bytes(tmp_path, tmp_path / "own")
+    monkeypatch.setattr(cores, "_limit_bytes", lambda: limit_bytes)
+    monkeypatch.setattr(cores, "available_cores", lambda: 16)
+    assert cores.available_processes() == (expected or 16)
+
+
 def sleep_or_go(task):
     """The first task ends once the outcome of the second is known."""
     number, file = task

@@ -1,11 +1,13 @@
 """Warp says nothing of itself where warpav is used from Python, and compiles kernels while something else is done."""
 
 import os
+import pwd
 import subprocess
 import sys
 
 import pytest
 
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
 
@@ -48,6 +50,21 @@ def test_kernels_are_compiled_when_the_block_ends(tmp_path):
 def test_a_cache_in_which_nothing_may_be_written_is_refused(monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(InputError, match=r"expected a folder .* written, got: Permission denied; set WARP_CACHE_PATH"):
+        load_warp.__wrapped__()
+
+
+def test_without_a_home_nothing_is_kept_and_kernels_need_a_folder(monkeypatch):
+    def unknown(user):
+        raise KeyError(user)
+
+    for variable in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    folder = user_cache_folder("scenes")
+    with pytest.raises(OSError, match="Not a directory"):
+        folder.mkdir(parents=True)
+    assert not folder.exists()
+    with pytest.raises(InputError, match="expected a home, .* got none; set WARP_CACHE_PATH to a folder"):
         load_warp.__wrapped__()
 
 

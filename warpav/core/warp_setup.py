@@ -24,6 +24,11 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
+    if os.path.expanduser("~") == "~" and not {"WARP_CACHE_PATH", "XDG_CACHE_HOME"} & os.environ.keys():
+        # Warp would make a folder of that name here
+        raise InputError(
+            "expected a home, where Warp keeps compiled kernels, got none; set WARP_CACHE_PATH to a folder"
+        )
     try:
         with _muted_stderr():  # without a GPU its native library complains whatever the log level
             warp.init()
