@@ -64,7 +64,7 @@ def test_without_a_home_nothing_is_kept_and_kernels_need_a_folder(monkeypatch):
     with pytest.raises(OSError, match="Not a directory"):
         folder.mkdir(parents=True)
     assert not folder.exists()
-    with pytest.raises(InputError, match="expected a home, .* got none; set WARP_CACHE_PATH to a folder"):
+    with pytest.raises(InputError, match=r"expected a home, .* got none; set WARP_CACHE_PATH to a folder"):
         load_warp.__wrapped__()
 
 
