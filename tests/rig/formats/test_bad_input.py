@@ -65,7 +65,7 @@ CORRUPT = {
     ],
     "autoware": [
         ("    pitch: ", "    pitched: ", "kit_base_link.front_left/camera_link.pitch: expected a finite"),
-        ("base_link:\n", "bass_link:\n", "expected a mapping"),
+        ("base_link:\n", "bass_link:\n", "sensor_kit_bass_link: expected where it lies, for front_left/camera_link"),
         ("data: [320.,", "data: [-320.,", "camera_matrix.data: expected positive focal lengths"),
         ("image_width: 640", "image_width: 3", "width_px: expected from 8 to 16384 pixels, got 3"),
     ],

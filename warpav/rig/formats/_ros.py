@@ -94,25 +94,18 @@ def _cut(record: Record, optics: Optics) -> Optics:
     """The optics of the image as it is sent: a region of the sensor's, in which pixels are joined (REP 104)."""
     assert optics.focal_px is not None
     assert optics.centre_px is not None
-    roi, binning = record.at("roi"), [record.at(f"binning_{axis}") for axis in "xy"]
+    roi = record.at("roi")
     if roi.at("do_rectify").value not in (None, False, 0):
         raise roi.at("do_rectify").error("false; a rectified image has another camera matrix")
-    sizes, focal, centre = [], [], []
-    for side, axis, whole, focal_px, centre_px, pixels in zip(
-        ("width", "height"),
-        "xy",
-        (optics.width_px, optics.height_px),
-        optics.focal_px,
-        optics.centre_px,
-        binning,
-        strict=True,
-    ):
-        joined, first = max(1, pixels.whole(0)), roi.at(f"{axis}_offset").whole(0)
-        sizes.append((roi.at(side).whole(0) or whole or 0) // joined)
-        focal.append(focal_px / joined)
-        centre.append((centre_px - first) / joined)
-    size = {"width_px": sizes[0], "height_px": sizes[1]}
-    return replace(optics, **size, focal_px=(focal[0], focal[1]), centre_px=(centre[0], centre[1]))
+    joined = [max(1, record.at(f"binning_{axis}").whole(0)) for axis in "xy"]
+    first = [roi.at(f"{axis}_offset").whole(0) for axis in "xy"]
+    whole = (optics.width_px or 0, optics.height_px or 0)
+    width_px, height_px = (
+        (roi.at(side).whole(0) or whole[k]) // joined[k] for k, side in enumerate(("width", "height"))
+    )
+    fx, fy = (optics.focal_px[k] / joined[k] for k in (0, 1))
+    cx, cy = ((optics.centre_px[k] - first[k]) / joined[k] for k in (0, 1))
+    return replace(optics, width_px=width_px, height_px=height_px, focal_px=(fx, fy), centre_px=(cx, cy))
 
 
 def _camera_info(camera: PlacedCamera, losses: Losses) -> bytes:
@@ -380,6 +373,7 @@ def _add_link(robot: ElementTree.Element, parent: str, child: str, xyz: Sequence
 _SENSORS, _KIT = "sensors_calibration.yaml", "sensor_kit_calibration.yaml"
 _KIT_LINK = "sensor_kit_base_link"
 _LEANS = math.sqrt(0.5)
+_UNITS_MAX = 8  # that hang at one another
 _LINK_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 _LINK_NAME = re.compile(r"(.+?)(?:[/_]camera)?(?:_optical)?_(?:link|frame)")
 
@@ -389,25 +383,30 @@ def _read_autoware(path: Path) -> Found:
     folder = path if path.is_dir() else path.parent
     if not (folder / _SENSORS).is_file() and not (folder / _KIT).is_file():
         raise InputError(f"{path}: expected a folder with {_SENSORS} and {_KIT}, or one of them, got neither")
-    files = {each.name: each for each in sorted(folder.glob("*calibration.yaml"))}
-    records = {name: read_yaml_record(file) for name, file in files.items()}
-    base = (records.get(_SENSORS) or read_yaml_record(folder / _SENSORS)).at(_BASE)
-    links = base.mapping(f"a mapping of the links at {_BASE}")
-    unit_of = {_BASE: base}
-    for record in records.values():
-        unit_of |= {unit: record.at(unit) for unit in record.mapping() if unit in links}
-    if _KIT_LINK in links or len(unit_of) == 1:
-        _link_transform(base.at(_KIT_LINK))
-        unit_of.setdefault(_KIT_LINK, read_yaml_record(folder / _KIT).at(_KIT_LINK))
+    files = dict.fromkeys([folder / _SENSORS, *sorted(folder.glob("*calibration.yaml"))])
+    records = [read_yaml_record(file) for file in files]
+    base = records[0].at(_BASE).mapping(f"a mapping of the links at {_BASE}")
+    if _KIT_LINK in base and folder / _KIT not in files:
+        read_yaml_record(folder / _KIT)  # which is not there
+    links: dict[str, tuple[str, Record]] = {}
+    for record in records:
+        for parent, below in record.mapping().items():
+            links |= {child: (parent, each) for child, each in below.mapping(f"a mapping of links at {parent}").items()}
     placed: list[tuple[str, np.ndarray]] = []
-    for unit, record in unit_of.items():
-        base_from_unit = np.eye(4) if unit == _BASE else _link_transform(base.at(unit))
-        for link in record.mapping(f"a mapping of the links at {unit}"):
-            if _LINK_NAME.fullmatch(link) and "camera" in link:
-                placed.append((link, base_from_unit @ _link_transform(record.at(link))))
+    for link in links:
+        if not _LINK_NAME.fullmatch(link) or "camera" not in link:
+            continue
+        transform, at = np.eye(4), link
+        for _ in range(_UNITS_MAX):
+            if at in links:
+                at, record = links[at]
+                transform = _link_transform(record) @ transform
+        if at != _BASE:
+            raise InputError(f"{folder / _SENSORS}: {at}: expected where it lies, for {link} hangs at it, got nothing")
+        placed.append((link, transform))
     if not placed:
         raise InputError(f"{folder / _KIT}: {_KIT_LINK}: expected links such as camera0/camera_link, got none")
-    notes = [note for name, record in records.items() for note in unread_note(files[name], record.unread())]
+    notes = [note for file, record in zip(files, records, strict=True) for note in unread_note(file, record.unread())]
     likely = [link for link, transform in placed if "optical" not in link and _is_upright(transform)]
     are_optical = len(likely) > 1 and len(likely) == sum("optical" not in link for link, _ in placed)
     if likely:
