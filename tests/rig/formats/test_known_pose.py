@@ -244,13 +244,15 @@ def test_argoverse2_reads_and_writes_the_known_camera(tmp_path):
 
     feather.write_feather(pyarrow.table(poses), files["egovehicle_SE3_sensor.feather"])
     feather.write_feather(
-        pyarrow.table({**{key: [value] for key, value in lens.items()}, "k1": [-0.24]}), files["intrinsics.feather"]
+        pyarrow.table({**{key: [value] for key, value in lens.items()}, "k1": [-0.24], "skew": [1.0]}),
+        files["intrinsics.feather"],
     )
     rig, notes = import_rig_with_notes(tmp_path / "out", "argoverse2", ImportOptions(origin_m=(0.0, 0.0, 0.33)))
     (camera,) = rig.cameras
     assert camera.position_m == pytest.approx([1.7, 0.5, 1.93])
     assert camera.model == CameraModel(640, 480, camera.model.fov_rad)
     assert any("undistorted" in note for note in notes)
+    assert notes[2].endswith(": not read: skew")
 
 
 # ------------------------------------------------------------------------------------- files as others have them
