@@ -312,8 +312,8 @@ def as_commonroad(folder):
 
 UNKNOWN = [
     (as_json, '"dt_s"', '"offset_s": 3, "dt_s"', "offset_s"),
-    (as_json, '"length_m"', '"lenght_m": 3, "length_m"', "road_users.lenght_m"),
-    (as_json, '"left"', '"widht_m": 3, "left"', "lanelets.widht_m"),
+    (as_json, '"length_m"', '"long_m": 3, "length_m"', "road_users.long_m"),
+    (as_json, '"left"', '"wide_m": 3, "left"', "lanelets.wide_m"),
     (as_commonroad, "<trajectory>", "<occupancySet/><trajectory>", "<occupancySet>"),
     (write_waymo, '"valid"', '"offset": 3, "valid"', "objects.offset"),
     (write_waymo, '"geometry"', '"offset": 3, "geometry"', "roads.offset"),

@@ -28,8 +28,8 @@ _OF_ABOUT = (
     r"|weather|orthoPxToMeter|scaleDownFactor|backgroundScaleFactor"
 )
 _OF_TRACKS = (
-    r"recordingId|trackLifetime|num\w+|(initial|final)Frame|traveledDistance|width|length|height|dhw|thw|ttc|odrSectionNo"
-    r"|\w*(Acceleration|Velocity|SightDistance|DHW|THW|TTC|Ids?|ID)|(lane|lead|rear|alongside|left|right|cur|lat|lon)\w+"
+    r"recordingId|trackLifetime|num\w+|(initial|final)Frame|width|length|height|[dt]hw|ttc|odrSectionNo"
+    r"|\w*(Acceleration|Velocity|Distance|[DT]HW|TTC|Ids?|ID)|(lane|lead|rear|alongside|left|right|cur|lat|lon)\w+"
 )
 """Columns that are not needed: patterns of names."""
 _CLASS_OF_TYPE = {name: name for name in CLASSES} | {"van": "car", "truck_bus": "truck", "trailer": "truck"}
