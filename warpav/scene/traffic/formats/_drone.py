@@ -24,7 +24,7 @@ _PLACE, _ORIGIN = ("locationId", "upperLaneMarkings", "lowerLaneMarkings"), ("xU
 _BOX = ("frame", "xCenter", "yCenter", "heading", "width", "length", "xVelocity", "yVelocity")
 _IMAGE_BOX = ("frame", "x", "y", "width", "height", "xVelocity", "yVelocity")
 _OF_ABOUT = (
-    r"id|recordingId|locationName|speedLimit|month|weekDay|startTime|duration|totalDriv\w+|num\w+|\w+Location|fileName"
+    r"id|recordingId|locationName|speedLimit|month|week[dD]ay|startTime|duration|totalDriv\w+|num\w+|\w+Location|fileName"
     r"|weather|orthoPxToMeter|scaleDownFactor|backgroundScaleFactor"
 )
 _OF_TRACKS = (
