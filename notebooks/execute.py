@@ -39,6 +39,7 @@ SMALL = {
     "07_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\n"
     "pool_cameras, steps, front_cameras = 16, 4, '2..3'",
     "08_reproduce_table_two": "train_seeds, test_seeds, iterations, runs, samples = '0..3', '[1000]', 2, 1, 2",
+    "09_lidars_for_a_shuttle": "train_seeds, test_seeds = range(2), range(5000, 5002)\npool_cameras, steps = 16, 4",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 

@@ -37,8 +37,8 @@ def texts(cell):
                 yield "".join(content)
 
 
-def test_there_are_eight_notebooks_each_with_a_source():
-    assert [source.stem[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06", "07", "08"]
+def test_there_are_nine_notebooks_each_with_a_source():
+    assert [source.stem[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06", "07", "08", "09"]
     assert (
         {file.stem for file in SOURCES[0].parent.glob("*.ipynb")} == {source.stem for source in SOURCES} == set(SMALL)
     )
