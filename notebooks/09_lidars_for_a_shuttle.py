@@ -75,13 +75,15 @@ for points in (5, 20, 80):
 
 # %% [markdown]
 # The gradient comes along: how the objective changes with the place of each sensor, as the outlines of what it sees
-# say. At a polished rig it is small, but for sensors that stand at the end of their zone.
+# say.
 
 # %%
 for name, by_number in gradient.items():
     print(f"{name:12} {by_number['x_m']:+.4f} a metre forwards, {by_number['y_m']:+.4f} to the left")
 
 # %% [markdown]
+# A sensor that would gain by moving outwards is held by the edge of its zone or by a design rule.
+#
 # ## What to do next
 #
 # - Fit the curve to what your detector finds: `warpav detector lidar found.csv`.

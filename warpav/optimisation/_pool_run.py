@@ -20,7 +20,7 @@ from warpav.detection import expected_miss_rate, shares_of
 from warpav.optimisation._camera_loss import RobustValue
 from warpav.optimisation._further_camera import FurtherCameras, further_cameras
 from warpav.optimisation._hand_rigs import HandRig
-from warpav.optimisation._mount import LOG_ZOOM, CameraMount, mirror_image
+from warpav.optimisation._mount import LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, mirror_image
 from warpav.optimisation._mount_errors import COLUMNS
 from warpav.optimisation._pool import CameraPool, Drawing
 from warpav.optimisation._pool_cache import rows_of
@@ -382,9 +382,11 @@ def roundings(pose: np.ndarray, mount: CameraMount, fits: Callable[[np.ndarray],
     """
     cameras = mount.rig(pose[None]).cameras
     is_in_the_middle = mount.is_symmetric and len(cameras) == 1
+    low, high = (ends[0] for ends in mount.ends_of(pose[None, [X_M, Y_M]]))
+    turns_not = low[[YAW_RAD, PITCH_RAD]] == high[[YAW_RAD, PITCH_RAD]]
     known = set[bytes]()
     for ways in sorted(itertools.product((False, True), repeat=5), key=sum):
-        if is_in_the_middle and (ways[1] or ways[3]):
+        if (is_in_the_middle and (ways[1] or ways[3])) or (turns_not & ways[3:]).any():
             continue
         rounded = _rounded(cameras[0], ways)
         pair = [rounded] if len(cameras) == 1 else [rounded, mirror_image(rounded)]

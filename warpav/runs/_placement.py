@@ -664,7 +664,7 @@ def _fitted(
     return tuple(
         ensure_fit(config, detector=detector, ego=ego, progress=progress, camera=model)
         if model.beams is None
-        else LidarProbability(model.beams, config.lidar.curve)
+        else LidarProbability(model.beams)
         for model in camera_models(config)
     )
 
@@ -777,7 +777,10 @@ def _camera_probabilities(
     """How likely a camera is to detect, of a mount's modules each; one model stands for all of these."""
     models = probability if isinstance(probability, tuple) else (probability,)
     found = [
-        model if isinstance(model, LidarProbability) else CameraProbability.of(config.losses, model) for model in models
+        replace(model, curve=config.lidar.curve)
+        if isinstance(model, LidarProbability)
+        else CameraProbability.of(config.losses, model)
+        for model in models
     ]
     counts = config.rig.module_counts
     if counts is None or found == [None]:
