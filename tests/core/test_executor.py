@@ -201,14 +201,23 @@ def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
         ({"cpu/cpu.cfs_quota_us": "800000", "cpu/cpu.cfs_period_us": "100000"}, "1:cpu,cpuacct:/", 8),
         ({"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, "1:cpu:/", None),
         ({}, "", None),
+        ({"memory.max": "max"}, "0::/", None),
+        ({"memory.max": "8000", "job/memory.max": "3000"}, "0::/job", 3000),
+        ({"memory/memory.limit_in_bytes": "2000"}, "4:memory:/docker/1", 2000),
+        ({"memory/memory.limit_in_bytes": "9223372036854771712"}, "4:memory:/", None),
     ],
 )
-def test_control_groups_limit_the_cores(tmp_path, groups, own, expected):
+def test_control_groups_limit_cores_and_memory(tmp_path, monkeypatch, groups, own, expected):
     for name, text in groups.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     (tmp_path / "own").write_text(own)
-    assert cores._quota_cores(tmp_path, tmp_path / "own") == expected
+    limit = cores._limit_bytes if "memory" in str(groups) else cores._quota_cores
+    assert limit(tmp_path, tmp_path / "own") == expected
+    monkeypatch.setattr(cores, "available_cores", lambda: 16)
+    for limit_bytes, count in ((None, 16), (3 << 30, 3), (1, 1)):
+        monkeypatch.setattr(cores, "_limit_bytes", lambda limit_bytes=limit_bytes: limit_bytes)
+        assert cores.available_processes() == count
 
 
 def sleep_or_go(task):

@@ -1,13 +1,17 @@
 """Warp says nothing of itself where warpav is used from Python, and compiles kernels while something else is done."""
 
+import multiprocessing
 import os
+import pwd
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import InputError
-from warpav.core.warp_setup import load_warp
+from warpav.core.warp_setup import checked_device, load_warp
 
 PACK = """
 from warpav.scene._device_scene import DeviceScene
@@ -48,6 +52,37 @@ def test_kernels_are_compiled_when_the_block_ends(tmp_path):
 def test_a_cache_in_which_nothing_may_be_written_is_refused(monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(InputError, match=r"expected a folder .* written, got: Permission denied; set WARP_CACHE_PATH"):
+        load_warp.__wrapped__()
+
+
+def device_or_error(device):
+    try:
+        return checked_device(device)
+    except InputError as error:
+        return str(error)
+
+
+def test_a_forked_process_is_told_that_it_has_no_gpu():
+    load_warp()
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
+        gpu, cpu = pool.map(device_or_error, ("cuda:0", "cpu"))
+    assert "got one that was forked" in gpu
+    assert 'start it by multiprocessing.get_context("spawn")' in gpu
+    assert cpu == "cpu"
+
+
+def test_without_a_home_nothing_is_kept_and_kernels_need_a_folder(monkeypatch):
+    def unknown(user):
+        raise KeyError(user)
+
+    for variable in ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    folder = user_cache_folder("scenes")
+    with pytest.raises(OSError, match="Not a directory"):
+        folder.mkdir(parents=True)
+    assert not folder.exists()
+    with pytest.raises(InputError, match=r"expected a home, .* got none; set WARP_CACHE_PATH to a folder"):
         load_warp.__wrapped__()
 
 

@@ -33,6 +33,7 @@ PLACEMENT = {
     "ultralytics-rtdetr": "stretched",
     "yolox": "top left",
     "yolox-decoded": "top left",
+    "yolov5": "centred",
     "torchvision": "top left",
     "rtdetr": "stretched",
     "rtdetr-single": "stretched",
@@ -44,6 +45,7 @@ CASES = {
     "ultralytics-rtdetr": ({"metadata": ULTRALYTICS | {"head": "RTDETRDecoder"}}, {}, "ultralytics' RT-DETR"),
     "yolox": ({}, {"labels": LABELS}, "offsets"),
     "yolox-decoded": ({}, {"labels": LABELS}, "follow the cells"),
+    "yolov5": ({"metadata": NAMES | {"stride": "32"}}, {}, "3 boxes a cell"),
     "torchvision": ({"classes": (1, 2), "has_batch": False}, {"labels": LABELS}, "boxes, labels and scores"),
     "rtdetr": ({}, {"labels": LABELS}, "orig_target_sizes"),
     "rtdetr-single": ({}, {"labels": LABELS, "family": "rtdetr-single"}, "detector.format"),
@@ -114,7 +116,7 @@ def test_a_dynamic_size_follows_the_image_or_the_setting(tmp_path, rng, name):
     images = pictures(rng, 2, SIDE_PX, SIDE_PX)
     is_square = PLACEMENT[name] == "stretched"
     size = {"input_px": SIDE_PX} if is_square else {}
-    if name.startswith("yolox"):
+    if name.startswith("yolo"):
         # These networks are made for one size, whatever they say, so that no try at another tells how they are.
         with pytest.raises(InputError, match="its layout could be one of yolox, yolox-decoded"):
             opened(tmp_path, name, {"size_px": None})
@@ -155,6 +157,35 @@ def test_every_family_is_a_choice_of_the_configuration():
     choices = get_args(DetectorConfig.model_fields["format"].annotation)
     assert choices == ("auto", *(family.name for family in FAMILIES))
     assert set(CASES) == {family.name for family in FAMILIES}
+
+
+@pytest.mark.parametrize("stated", [{}, {"batch": "2"}, {"batch": "2", "args": "{'nms': True, 'batch': 2}"}])
+@pytest.mark.parametrize("symbolic", [False, True])
+def test_a_suppression_inside_gets_as_many_images_as_it_was_exported_for(tmp_path, rng, stated, symbolic):
+    metadata = ULTRALYTICS | ({"args": "{'batch': 1, 'nms': True}"} | stated)
+    content = {"metadata": metadata, "images_max": int(stated.get("batch", 1)), "symbolic": symbolic}
+    detector = opened(tmp_path, "ultralytics-end2end", content)
+    assert (detector.family.name, detector.family.batch) == ("ultralytics-end2end", content["images_max"])
+    images = pictures(rng, 5)
+    check(detector.detect(images), images, "ultralytics-end2end", atol_px=2e-3, atol=2e-5)
+
+
+def test_an_output_without_any_number_is_read_as_it_is_said_to_be(tmp_path, rng):
+    images = pictures(rng, 2)
+    content = {"symbolic": True, "metadata": NAMES}
+    for name in ("ultralytics-end2end", "rtdetr-single"):
+        detector = opened(tmp_path, name, content, family=name, labels=None)
+        check(detector.detect(images), images, name, atol_px=2e-3, atol=2e-5)
+    detector = opened(tmp_path, "ultralytics", content | {"metadata": ULTRALYTICS})
+    assert detector.family.name == "ultralytics"
+    check(detector.detect(images), images, "ultralytics", atol_px=2e-3, atol=2e-5)
+
+
+def test_names_may_be_json_and_the_stride_is_that_of_the_file(tmp_path, rng):
+    metadata = {"names": json.dumps(dict(enumerate(LABELS))), "stride": "64"}
+    detector = opened(tmp_path, "ultralytics", {"metadata": metadata, "size_px": None})
+    assert detector.names == LABELS
+    assert detector.input_size_px(64, 96) == (64, 128)
 
 
 def test_a_transposed_output_is_recognised(tmp_path, rng):

@@ -108,9 +108,9 @@ def _features(graph, image, white, has_batch):
     return edges, op("Add", op("Mul", green, CONFIDENCE_GAIN), CONFIDENCE_BASE)
 
 
-def _yolox(graph, edges, confidence, classes, class_count, decoded):
+def _yolox(graph, edges, confidence, classes, class_count, decoded, boxes):
     op, whole = graph.op, graph.whole
-    cells = grid()
+    cells = np.tile(grid(), (boxes, 1))
     place = np.eye(len(cells))[:, list(CELL)]
     box = op("MatMul", edges, CENTRE_AND_SIZE)
     if not decoded:
@@ -145,8 +145,13 @@ def write_network(
     transposed=False,
     poison=None,
     add_output=False,
+    symbolic=False,
+    images_max=None,
 ):
-    """Write a network; `classes` are those of its two boxes, `poison` replaces the first edge of the first box."""
+    """Write a network; `classes` are those of its two boxes, `poison` replaces the first edge of the first box.
+
+    ``symbolic`` leaves every side of the first output open; images behind the first ``images_max`` find nothing.
+    """
     graph = Graph()
     op, whole = graph.op, graph.whole
     kind = TensorProto.FLOAT
@@ -170,9 +175,10 @@ def write_network(
     elif layout == "ultralytics-rtdetr":
         box = op("Div", op("MatMul", edges, CENTRE_AND_SIZE), np.full(4, SIDE_PX))
         outputs["output0"] = (op("Concat", box, column, label, axis=2), kind, [*axis, 2, 6])
-    elif layout.startswith("yolox"):
-        rows = _yolox(graph, edges, confidence, list(classes), class_count, layout == "yolox-decoded")
-        outputs["output"] = (rows, kind, [*axis, len(grid()), 5 + class_count])
+    elif layout.startswith("yolo"):
+        boxes = 3 if layout == "yolov5" else 1
+        rows = _yolox(graph, edges, confidence, list(classes), class_count, layout != "yolox", boxes)
+        outputs["output"] = (rows, kind, [*axis, boxes * len(grid()), 5 + class_count])
     else:
         numbers = op("Cast", op("Squeeze", label, whole([2])), to=TensorProto.INT64)
         if layout == "rtdetr":
@@ -190,6 +196,14 @@ def write_network(
             value = value if has_batch else op("Squeeze", value, whole([0]))
             # torchvision's exporter leaves outputs without a name that means anything
             outputs[name if layout == "rtdetr" else f"tensor_{name[::-1]}"] = (value, dtype, [*axis, "n", *rest])
+    if images_max is not None:
+        name, (value, *rest) = next(iter(outputs.items()))
+        ends = ([0], [images_max], [2**31])
+        kept, others = (op("Slice", value, *map(whole, (*each, [0]))) for each in (ends[:2], ends[1:]))
+        outputs[name] = (op("Concat", kept, op("Mul", others, 0.0), axis=0), *rest)
+    if symbolic:
+        name, (value, dtype, shape) = next(iter(outputs.items()))
+        outputs[name] = (value, dtype, [f"side_{k}" for k in range(len(shape))])
     if add_output:
         outputs["extra"] = (op("Cast", edges, to=kind), kind, [*axis, 2, 4])
     return graph.saved(path, inputs, outputs, metadata or {})

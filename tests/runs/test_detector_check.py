@@ -52,6 +52,14 @@ def test_the_shipped_detector_is_described(capsys, monkeypatch):
         assert words in text
 
 
+def test_metadata_that_are_not_read_are_named(folder, capsys):
+    write_network(
+        folder / "mine.onnx", "ultralytics", metadata={"names": LABELS, "mean": "0.5", "date": "today"}, batch=1
+    )
+    assert main(["detector", "check", "mine.onnx"]) == 0
+    assert "metadata    not read: mean\n" in capsys.readouterr().out
+
+
 def test_boxes_are_listed_and_drawn(folder, capsys):
     assert main(["detector", "check", "mine.onnx", "--image", "picture.png", "detector.nms_iou_max=1.0"]) == 0
     text = capsys.readouterr().out

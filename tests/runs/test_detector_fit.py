@@ -136,6 +136,19 @@ def curves(folder):
     return json.loads(file.read_text())["curves"]
 
 
+@pytest.mark.parametrize("share", [0.03, 0.3])
+@pytest.mark.usefixtures("sampled")
+def test_a_detector_that_finds_next_to_nothing_is_told(share, tmp_path, capsys, monkeypatch):
+    def samples(_, recipe, seed):
+        feature = np.random.default_rng(seed).normal(size=(400, FEATURE_COUNT))
+        return DetectionSamples(feature, feature[:, 0] > np.quantile(feature[:, 0], 1 - share), np.full(400, seed))
+
+    monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
+    assert main(["detector", "fit", *FIT, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert (f"warning: builtin finds {share * 1200:.0f} of 1200 objects, fewer than 5%" in said) == (share < 0.05)
+
+
 def test_a_fit_that_is_interrupted_goes_on(sampled, own_cache, tmp_path, capsys, monkeypatch):
     assert main(["detector", "fit", *FIT, "--out", str(tmp_path / "whole")]) == 0
     sample, stop = detector_samples._Sampling.samples, [True]

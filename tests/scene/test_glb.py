@@ -76,6 +76,22 @@ def test_round_trip_is_exact(scene, tmp_path):
         assert one.box.yaw_rad == pytest.approx(other.box.yaw_rad, abs=1e-14)
 
 
+def test_what_is_not_read_is_named(scene, tmp_path, caplog):
+    write_scene(scene, tmp_path / "scene.glb")
+    read_scene(tmp_path / "scene.glb")
+    assert caplog.text == ""
+
+    def change(document):
+        _node(document, "vehicle_1")["extras"]["velocity_m_s"] = [1.0, 0.0]
+        _node(document, "vehicle_2")["name"] = "Vehicle_2"
+        document["extensionsUsed"] = ["EXT_fog"]
+
+    _rewritten(tmp_path / "scene.glb", change)
+    read_scene(tmp_path / "scene.glb")
+    assert "scene.glb: not read: node 'Vehicle_2', extras.velocity_m_s" in caplog.text
+    assert "scene.glb: the extension EXT_fog is not read" in caplog.text
+
+
 def test_other_programs_see_y_up_and_the_extras(scene, tmp_path):
     write_scene(scene, tmp_path / "scene.glb")
     file = trimesh.load_scene(tmp_path / "scene.glb", process=False)

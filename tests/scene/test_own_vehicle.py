@@ -1,5 +1,8 @@
 """A user's own vehicle: files of every format, units and axes found by the shape, corrected, written and read again."""
 
+import json
+import struct
+
 import numpy as np
 import pytest
 import trimesh
@@ -128,9 +131,97 @@ def test_parts_in_places_of_their_own_become_one_mesh(car, tmp_path):
     assert examine(file, Reading("z", "x")).open_edge_count == 0
 
 
+def glb(mesh, kind, *, changes=(), extension="KHR_mesh_quantization"):
+    """A GLB by hand, y up; positions as integers of a kind, normalised, with the node that undoes it."""
+    vertex = mesh.vertex_m[:, [0, 2, 1]].astype(float) * [1.0, 1.0, -1.0]
+    least, most = np.iinfo(kind).min, np.iinfo(kind).max
+    low, high = vertex.min(axis=0), vertex.max(axis=0)
+    centre, half = (0.5 * (low + high), 0.5 * (high - low).max()) if least < 0 else (low, (high - low).max())
+    stored = np.ascontiguousarray(np.round((vertex - centre) / half * most), kind)
+    # rows are multiples of 4 bytes
+    stored = np.pad(stored, ((0, 0), (0, -3 * stored.itemsize % 4 // stored.itemsize)))
+    indices = mesh.triangle.astype("<u4").tobytes()
+    code = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123}[np.dtype(kind).name]
+    document = {
+        "asset": {"version": "2.0"}, "extensionsUsed": [extension], "extensionsRequired": [extension],
+        "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "scale": [half] * 3, "translation": centre.tolist()}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "indices": 0}]}],
+        "buffers": [{"byteLength": len(indices) + stored.nbytes}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": len(indices)},
+            {"buffer": 0, "byteOffset": len(indices), "byteLength": stored.nbytes, "byteStride": stored.strides[0]},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5125, "count": mesh.triangle.size, "type": "SCALAR"},
+            {"bufferView": 1, "componentType": code, "count": len(vertex), "type": "VEC3", "normalized": True},
+        ],
+    }  # fmt: skip
+    for *path, last, value in changes:
+        place = document
+        for key in path:
+            place = place[key]
+        place[last] = value
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    body = indices + stored.tobytes()
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+@pytest.mark.parametrize("kind", ["int8", "uint8", "int16", "uint16"])
+def test_positions_may_be_normalised_integers(car, tmp_path, kind):
+    (tmp_path / "car.glb").write_bytes(glb(car, kind))
+    file = read_vehicle_file(tmp_path / "car.glb")
+    step_m = 2.0 * np.ptp(car.vertex_m, axis=0).max() / np.iinfo(kind).max
+    np.testing.assert_allclose(file.in_ego_frame(file.usual).vertex_m, car.vertex_m, atol=step_m)
+    assert file.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "extension", "message"),
+    [
+        ((), "KHR_draco_mesh_compression", "got: the extension KHR_draco_mesh_compression, which is not read"),
+        ((), "EXT_meshopt_compression", "got: the extension EXT_meshopt_compression, which is not read"),
+        ((), "EXT_unknown", "got: the extension EXT_unknown, which is not read"),
+        ([("accessors", 1, "sparse", {"count": 1})], "KHR_mesh_quantization", "got: sparse accessors"),
+        ([("buffers", 0, "uri", "a.bin")], "KHR_mesh_quantization", "normalised integers outside of a GLB"),
+        ([("extensionsRequired", []), ("skins", [{}])], "EXT_other", "EXT_other is not read; skeletons are not appl"),
+        ([("nodes", 0, "weights", [0.5])], "KHR_texture_transform", "texture_transform is not read; morph targets are"),
+    ],
+)
+def test_what_of_a_glb_is_not_read_is_refused_or_named(car, tmp_path, changes, extension, message):
+    (tmp_path / "car.glb").write_bytes(glb(car, "int16", changes=changes, extension=extension))
+    try:
+        found = "; ".join(read_vehicle_file(tmp_path / "car.glb").notes)
+    except InputError as error:
+        found = str(error)
+        assert found.startswith(f"{tmp_path / 'car.glb'}: vehicle: ")
+    assert message in found
+
+
+def test_a_part_that_holds_the_vehicle_is_named(car, tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.Trimesh(car.vertex_m, car.triangle, process=False), node_name="car")
+    scene.add_geometry(trimesh.creation.icosphere(radius=25.0), node_name="dome")
+    scene.export(tmp_path / "car.glb")
+    (problem,) = checked(tmp_path / "car.glb", reading=Reading("z", "x")).problems
+    assert problem.remedy is None
+    assert "the part 'dome' holds all others, which are 4.699 x 2.217 x 1.55 m; leave it out" in problem.text
+
+
+def test_a_stated_scale_is_taken_for_a_robot(tmp_path):
+    trimesh.creation.box((1.36, 0.7, 0.35)).export(tmp_path / "robot.stl")
+    assert "expected a vehicle of 2 to 20 m, got 1.36 m" in checked(tmp_path / "robot.stl").problems[0].text
+    found = checked(tmp_path / "robot.stl", stated=frozenset({"scale"}))
+    assert [problem.remedy for problem in found.problems] == [{}]  # it is put on the ground
+    assert any("got 1.36 m; accepted as stated" in hint for hint in found.hints)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
+        ("car.stl", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "run: git lfs pull"),
         ("none.glb", None, r"none\.glb: vehicle: expected a mesh file \(glb, .*\), got no such file"),
         ("car.docx", b"text", r"car\.docx: vehicle: expected a mesh file \(glb, .*\), got the suffix '\.docx'"),
         ("car.glb", b"", r"car\.glb: vehicle: expected a readable glb file, got: "),

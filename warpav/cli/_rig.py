@@ -53,6 +53,10 @@ def _rig_import(
     accept_mirrored: Annotated[
         bool, Parameter(help="Accept cameras called left that lie or point to the right, and vice versa.", negative="")
     ] = False,
+    mirror_y: Annotated[bool, Parameter(help="The file's y points to the right: turn it round.", negative="")] = False,
+    approximate: Annotated[
+        bool, Parameter(help="Take lenses that warpav's nearest is off by more than .25 px.", negative="")
+    ] = False,
     overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
     """Make a rig YAML of another tool's file, and say in which frame it was read."""
@@ -60,9 +64,8 @@ def _rig_import(
 
     if out is not None:
         check_target(out, overwrite=overwrite)
-    options = ImportOptions(
-        origin_m, origin_rpy_deg, width_px, height_px, fov_deg, intrinsics, part, accept_mirrored=accept_mirrored
-    )
+    lens = (width_px, height_px, fov_deg, intrinsics)
+    options = ImportOptions(origin_m, origin_rpy_deg, *lens, part, accept_mirrored, mirror_y, approximate)
     rig, notes = import_rig_with_notes(file, format_name, options)
     for note in notes:
         (complain if out is None else say)(with_flags(note))  # what is printed is the rig, and nothing else

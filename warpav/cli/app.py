@@ -29,6 +29,7 @@ from warpav.cli._rig import rig_app
 from warpav.cli._runs import evaluate, front, inspect, optimise, plot, render, report, view
 from warpav.cli._scenes import dev_scenes_app, scenes_app
 from warpav.cli._vehicle import vehicle_app
+from warpav.core.cores import own_share, take_share
 from warpav.core.errors import ArgumentError, InputError
 
 _GC_THRESHOLD = 50_000
@@ -86,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = placed(arguments)
     received: list[int] = []
     gc.set_threshold(_GC_THRESHOLD)
+    take_share(own_share())  # libraries see the machine's cores, not those of the control group
     _ready_streams()
     try:
         with _as_ctrl_c(received):

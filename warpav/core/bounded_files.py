@@ -50,6 +50,7 @@ _HALF_CHARACTER = re.compile(
     r"|(?<!\\u[dD][89abAB][0-9a-fA-F]{2})\\u[dD][c-fC-F][0-9a-fA-F]{2})"
 )
 _NOT_BRACKETS = bytes(byte for byte in range(256) if byte not in b"[]{}()")
+_LFS = b"version https://git-lfs.github.com/spec/"  # what is kept elsewhere begins so
 _STREAM_BYTES_MAX, _PART_BYTES = 1_000_000_000, 1_000_000
 _Take = Callable[[ElementTree.Element], None] | None
 _ARRAYS_MAX = 10_000  # a checkpoint has some for every selection of its search
@@ -68,9 +69,13 @@ def read_parts(
     try:
         with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as stream:
             while left >= 0 and (part := stream.read(part_bytes)):
+                if left == bytes_max and part.startswith(_LFS):
+                    raise InputError(f"{file}: expected {kind}, got a pointer of Git LFS to it; run: git lfs pull")
                 left -= len(part)
                 if left >= 0:
                     yield part
+    except InputError:
+        raise
     except (OSError, EOFError, zlib.error, ValueError) as error:  # the last for a name that no file can have
         reason = (error.strerror if isinstance(error, OSError) else None) or _one_line(error)
         raise InputError(f"{file}: expected {kind}, got: {reason}") from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.util
+import os
 import re
 import shutil
 import time
@@ -18,7 +19,7 @@ from typing import TypeVar
 
 import platformdirs
 
-from warpav.core.cores import available_cores
+from warpav.core.cores import available_processes
 from warpav.core.files import DRAFT
 
 _Item = TypeVar("_Item")
@@ -36,8 +37,11 @@ _IMPORT = re.compile(
 
 
 def user_cache_folder(name: str) -> Path:
-    """A folder of the user's cache, by its name; it may not exist yet."""
-    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / name
+    """A folder of the user's cache, by its name; it may not exist yet, and without a home it never does."""
+    try:
+        return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / name
+    except RuntimeError:  # neither HOME nor a home of the user, as in containers
+        return Path(os.devnull) / name
 
 
 def made_files(
@@ -54,7 +58,7 @@ def made_files(
     from warpav.core.executor import Executor
 
     missing = {file: item for item, file in zip(items, files, strict=True) if not file.is_file()}
-    worker_count = min(worker_count or available_cores(), len(missing))
+    worker_count = min(worker_count or available_processes(), len(missing))
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
         tasks = [(item, file) for file, item in missing.items()]

@@ -1,14 +1,18 @@
-"""What of this machine a process may use: its cores, and its part of a GPU."""
+"""What of this machine a process may use: its cores, its memory, and its part of a GPU."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 _THREAD_VARIABLES = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_PROCESS_BYTES = 2**30
+"""What a process of a pool takes, at most but for large scenes."""
+_ENDLESS_BYTES = 2**60  # what the first version of control groups writes where there is no limit
 
 
 @dataclass
@@ -47,30 +51,49 @@ def available_cores() -> int:
     return min(each for each in (cores, _quota_cores(), _share.cores) if each is not None)
 
 
+def available_processes() -> int:
+    """Processes that are worth their start: a core each, and room in the memory of the control group."""
+    limit_bytes = _limit_bytes()
+    cores = available_cores()
+    return cores if limit_bytes is None else max(1, min(cores, limit_bytes // _PROCESS_BYTES))
+
+
+_GROUPS, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+
+
 @cache
-def _quota_cores(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int | None:
+def _quota_cores(groups: Path = _GROUPS, own: Path = _OWN) -> int | None:
     """Cores that the limits of control groups leave to this process, at least 1; None where there is no limit."""
-    found = []
+    old = ("cpu.cfs_quota_us", "cpu.cfs_period_us")
+    found = [max(1, quota // period) for quota, period in _limits("cpu", ("cpu.max",), old, groups, own) if quota > 0]
+    return min(found, default=None)
+
+
+@cache
+def _limit_bytes(groups: Path = _GROUPS, own: Path = _OWN) -> int | None:
+    """Memory that the limits of control groups leave to this process and others in it; None where there is no limit."""
+    found = _limits("memory", ("memory.max",), ("memory.limit_in_bytes",), groups, own)
+    return min((limit for limit, *_ in found if limit < _ENDLESS_BYTES), default=None)
+
+
+def _limits(kind: str, new: Sequence[str], old: Sequence[str], groups: Path, own: Path) -> list[list[int]]:
+    """The numbers in the files of this process's control groups, by the names that both versions give these."""
+    found: list[list[int]] = []
     with contextlib.suppress(OSError):
         for line in own.read_text().splitlines():
             _, kinds, path = line.split(":", 2)
-            if kinds and "cpu" not in kinds.split(","):
+            if kinds and kind not in kinds.split(","):
                 continue
             # a container sees its own group as the root, whatever the path says
-            top = groups / "cpu" if kinds else groups
+            top = groups / kind if kinds else groups
             inside = top / path.strip("/")
             for group in (inside, *inside.parents):
                 with contextlib.suppress(OSError, ValueError):  # no such group, or "max"
-                    if kinds:
-                        quota = int((group / "cpu.cfs_quota_us").read_text())
-                        period = int((group / "cpu.cfs_period_us").read_text())
-                    else:
-                        quota, period = map(int, (group / "cpu.max").read_text().split())
-                    if quota > 0:
-                        found.append(max(1, quota // period))
+                    texts = [(group / name).read_text() for name in (old if kinds else new)]
+                    found.append([int(word) for word in " ".join(texts).split()])
                 if group == top:
                     break
-    return min(found, default=None)
+    return found
 
 
 def gpu_share(count: int) -> int:

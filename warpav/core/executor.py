@@ -22,7 +22,7 @@ from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
-from warpav.core.cores import Share, available_cores, own_share, take_share
+from warpav.core.cores import Share, available_processes, own_share, take_share
 from warpav.core.errors import InputError, OptionError, install_text, is_out_of_memory
 
 _Task = TypeVar("_Task")
@@ -427,7 +427,7 @@ class Executor:
             for task in tasks:
                 yield outcome_of(function, task)
             return
-        count = available_cores() if self.name == "process" and self.worker_count is None else self.worker_count
+        count = available_processes() if self.name == "process" and self.worker_count is None else self.worker_count
         failed = (yield from _run_once(self._workers(function, count), tasks, count)) if tasks else []
         is_alone = False
         while failed and not is_alone:

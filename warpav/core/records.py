@@ -22,8 +22,8 @@ from warpav.core.section import mistake, shown
 from warpav.core.yaml_file import Location, dotted, read_yaml
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
-_MOST = 20
-"""Mistakes of one file that are told."""
+_MOST, _TOLD = 20, 8
+"""Mistakes, and keys that are not read, of one file that are told."""
 
 _EXPECTED = {
     "list_type": "a list",
@@ -50,9 +50,9 @@ _EXPECTED = {
 
 
 class Record(BaseModel):
-    """An object in a file of others; nothing is converted, and unknown keys are passed over."""
+    """An object in a file of others; nothing is converted, and unknown keys are kept for `unread` to name."""
 
-    model_config = ConfigDict(strict=True, frozen=True, populate_by_name=True)
+    model_config = ConfigDict(strict=True, frozen=True, populate_by_name=True, extra="allow")
 
 
 class Form(BaseModel):
@@ -83,6 +83,24 @@ Name = Annotated[str, Field(pattern=r"^[_A-Za-z0-9][_A-Za-z0-9.-]*$")]
 def in_order(ends: list[float]) -> list[float]:
     """Two ends of a range, the lower one first; else they are rejected."""
     return ends if ends[0] < ends[1] else mistake(f"expected a range, the lower end first, got {shown(ends)}")
+
+
+def unread(content: object, above: str = "") -> Iterator[str]:
+    """The keys of a `Record`, and of those in it, that its model does not have; without the numbers of lists."""
+    if isinstance(content, BaseModel):
+        yield from (f"{above}{key}" for key in content.model_extra or ())
+        for name in type(content).model_fields:
+            yield from unread(getattr(content, name), f"{above}{name}.")
+    elif isinstance(content, list) and content and isinstance(content[0], BaseModel):
+        for each in content:
+            yield from unread(each, above)
+
+
+def unread_text(keys: Iterable[str]) -> str:
+    """What messages say of keys that no reader asked for; empty where there are none."""
+    names = list(dict.fromkeys(keys))
+    more = f" and {len(names) - _TOLD} more" if len(names) > _TOLD else ""
+    return f"not read: {', '.join(names[:_TOLD])}{more}" if names else ""
 
 
 def nearest(word: object, known: Iterable[str]) -> str:

@@ -24,9 +24,15 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
+    if os.path.expanduser("~") == "~" and not {"WARP_CACHE_PATH", "XDG_CACHE_HOME"} & os.environ.keys():
+        # Warp would make a folder of that name here
+        raise InputError(
+            "expected a home, where Warp keeps compiled kernels, got none; set WARP_CACHE_PATH to a folder"
+        )
     try:
         with _muted_stderr():  # without a GPU its native library complains whatever the log level
             warp.init()
+        _process()
         folder = Path(warp.config.kernel_cache_dir or "")
         if not os.access(folder, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(folder))
@@ -36,6 +42,12 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
             f"{error.strerror}; set WARP_CACHE_PATH to one"
         ) from None
     return warp
+
+
+@cache
+def _process() -> int:
+    """The process in which Warp was initialised."""
+    return os.getpid()
 
 
 @contextlib.contextmanager
@@ -70,8 +82,13 @@ def _muted_stderr() -> Iterator[None]:
 
 
 def checked_device(device: str) -> str:
-    """The name of a Warp device that this machine has."""
+    """The name of a Warp device that this machine has; a GPU is lost to processes forked from one that found it."""
     names = [each.alias for each in load_warp().get_devices()]
+    if device.startswith("cuda") and _process() != os.getpid():
+        text = (
+            f"expected a process that was started on its own for {device}, got one that was forked from one with Warp"
+        )
+        raise OptionError("device", f'{text}; start it by multiprocessing.get_context("spawn")')
     if device not in names:
         raise OptionError("device", f"expected one of {', '.join(names)}, got {device!r}; warpav doctor lists them")
     return device

@@ -32,6 +32,8 @@ from warpav.core.errors import InputError
 Location = tuple[str, ...]
 """Where a value stands: the keys and list indices that lead to it, as text."""
 
+_END = re.compile(r"\n---\s*\Z")
+"""What follows every message of a ROS topic; to YAML another document begins there."""
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "null", "bool", "int", "float", "str")}
 
 
@@ -83,6 +85,9 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
     if place is None:
         place = str(source) if has_lines else f"{source:.60}"
     text = read_text(source, "a readable YAML file") if isinstance(source, Path) else _whole_text(source, place)
+    if text.startswith("%YAML:"):  # as OpenCV writes it; to YAML it is a mistake
+        text = f"#{text}"
+    text = _END.sub("\n", text)
     node_count = 0
 
     def at(line: int) -> str:

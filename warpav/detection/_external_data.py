@@ -10,7 +10,7 @@ import mmap
 from collections.abc import Iterator
 from pathlib import Path
 
-from warpav.core.bounded_files import LEVELS_MAX, is_inner_path, refuse_levels
+from warpav.core.bounded_files import LEVELS_MAX, is_inner_path, read_parts, refuse_levels
 from warpav.core.errors import InputError
 
 # fields that lead from a model to its tensors, by message: field number -> message
@@ -29,6 +29,7 @@ _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5  # kinds of fields
 
 def check_external_data(path: Path) -> None:
     """Make sure that weights outside of an ONNX file lie in its folder or below."""
+    next(read_parts(path, "an ONNX file", part_bytes=1000), None)  # refuses what is none
     try:
         with path.open("rb") as file:
             content = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

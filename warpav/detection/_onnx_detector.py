@@ -412,4 +412,4 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
 
 def _short(error: object, longest: int = 200) -> str:
     text = " ".join(str(error).split())
-    return text if len(text) <= longest else text[:longest] + " ..."
+    return text if len(text) <= longest else f"{text[: longest // 2]} ... {text[-longest // 2 :]}"

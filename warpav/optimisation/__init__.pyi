@@ -38,7 +38,6 @@ from warpav.optimisation._objective import RigObjective as RigObjective
 from warpav.optimisation._objective import single_cameras_of as single_cameras_of
 from warpav.optimisation._pool import CameraPool as CameraPool
 from warpav.optimisation._pool import Drawing as Drawing
-from warpav.optimisation._pool import pool_cache_folder as pool_cache_folder
 from warpav.optimisation._pool_cache import UNREADABLE as UNREADABLE
 from warpav.optimisation._pool_cache import read_arrays as read_arrays
 from warpav.optimisation._pool_cache import rows_of as rows_of

@@ -17,7 +17,6 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 from scipy import sparse
 
 from warpav.core.errors import ArgumentError, InputError
@@ -40,11 +39,6 @@ _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
 _PAIRS_A_TURN = 3.0
 _RULES_TRIES = 40  # cameras that are looked at for each that keeps the design rules, at most
-
-
-def pool_cache_folder() -> Path:
-    """Where pools are kept; it may not exist yet."""
-    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "pools"
 
 
 def spread_mount_poses(
@@ -117,7 +111,7 @@ class Drawing:
     """Where pools are drawn."""
 
     executor: Executor | None = None  # where it is done; None: here, with a thread for each core
-    cache: Path | None = None  # folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept
+    cache: Path | None = None  # folder that keeps what is drawn; None: nothing is kept
     chunk_cameras: int = _CHUNK_CAMERAS  # cameras that one task draws in one scene, at least 1
 
 

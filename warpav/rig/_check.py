@@ -75,11 +75,25 @@ def _in_millimetres(rig: Rig) -> str:
     )
 
 
+def folded_lenses(cameras: Iterable[RigCamera]) -> Iterator[str]:
+    """One message per camera whose distortion folds within its image, which is empty beyond."""
+    for camera in cameras:
+        (fx, _, cx), (_, fy, cy), _ = camera.model.intrinsics.tolist()
+        across, down = max(cx, camera.model.width_px - cx) / fx, max(cy, camera.model.height_px - cy) / fy
+        shape = camera.model.shape
+        if any(shape.distortion) and shape.is_radial and shape.edge < math.hypot(across, down):
+            yield (
+                f"camera {camera.name!r}: its lens's distortion folds {math.degrees(shape.limit_rad):.1f} deg from the "
+                "axis, before the corners; from there on the image is empty"
+            )
+
+
 def oddities(rig: Rig) -> Iterator[str]:
     """Other implausible properties that may be intended, one message each."""
     unit = _in_millimetres(rig)
     if unit:
         yield unit
+    yield from folded_lenses(rig.cameras)
     for camera in rig.cameras:
         if camera.position_m[2] < 0.0:
             yield f"camera {camera.name!r} lies {-camera.position_m[2]:.3f} m below the ground"

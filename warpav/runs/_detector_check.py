@@ -11,6 +11,7 @@ import numpy as np
 from warpav.core.bounded_files import PNG_SIGNATURE, is_whole_png
 from warpav.core.errors import ArgumentError
 from warpav.core.files import writing
+from warpav.core.records import unread_text
 from warpav.detection import ROAD_USERS, Detections, OnnxDetector
 from warpav.runs._networks import load_detector
 from warpav.runs.config import Config
@@ -64,7 +65,7 @@ def _description(detector: OnnxDetector) -> Iterator[str]:
     size = "any size" if file.size_px is None else f"{file.size_px[1]} x {file.size_px[0]} px"
     if file.size_px is None:
         size += (
-            f" in steps of {family.stride_px} px" if family.square_px is None else f", {family.square_px} px by default"
+            f" in steps of {family.step_px} px" if family.square_px is None else f", {family.square_px} px by default"
         )
     colours = f"{'BGR' if family.is_bgr else 'RGB'} 0..{family.white:.0f}"
     batch = "any batch" if family.batch is None else f"{family.batch} at a time"
@@ -74,6 +75,8 @@ def _description(detector: OnnxDetector) -> Iterator[str]:
             yield _row(name, str(tensor))
     labels = ", ".join(detector.names[:12]) + (", ..." if len(detector.names) > 12 else "")
     yield _row("labels", f"{len(detector.names)} from {file.labels_origin}: {labels}")
+    if text := unread_text(file.unread_metadata):
+        yield _row("metadata", text)
     for user in ROAD_USERS:
         counted = detector.road_users.get(user)
         yield _row(user, ", ".join(counted) if counted else f"no label; detector.classes.{user} can name some")

@@ -68,6 +68,7 @@ if TYPE_CHECKING:
 _TOWN_SEEDS = tuple(range(500_000, 500_050))
 _TOWN_HELD_OUT = tuple(range(500_050, 500_080))
 _MIN_FIT_SCENES = 20
+_FEW = 0.05  # of the objects; a weak detector finds several times as many
 """Training scenes of the user's own with which a model can be fitted and evaluated."""
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
@@ -341,6 +342,12 @@ def fit(
         raise ArgumentError(
             "scenes", f"{error}; give more `scenes`, or other sizes of image", place=f"{name}: detection probability"
         ) from None
+    if known.is_detected.mean() < _FEW:
+        advice = (
+            "does warpav detector check show boxes in images of its own kind, is it exported for one image at a time?"
+        )
+        text = f"{name} finds {_counts(known)['detected']} of {len(known)} objects, fewer than {_FEW:.0%}; {advice}"
+        say_or_warn(f"warning: {text}", "the fit is kept as it is", shown)
     probability = model.of_features(unseen.feature)
     try:
         scores = score(probability, unseen.is_detected)

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.cache import digest, fingerprint, remove_oldest, user_cache_folder
-from warpav.core.cores import available_cores
+from warpav.core.cores import available_cores, available_processes
 from warpav.core.errors import InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
@@ -254,7 +254,7 @@ def sample_scenes(
 
 def _process_count(config: Config, scene_count: int) -> int:
     """Processes that are worth their start, and on a GPU have room there."""
-    count = min(config.executor.workers or available_cores(), scene_count // _SCENES_PER_PROCESS)
+    count = min(config.executor.workers or available_processes(), scene_count // _SCENES_PER_PROCESS)
     if config.device.startswith("cuda"):
         room_bytes = config.shared_gpu_count * wp.get_device(config.device).free_memory
         count = min(count, room_bytes // _GPU_PROCESS_BYTES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import platform
 import subprocess
 import sys
@@ -115,6 +116,8 @@ def _check_cache() -> Finding:
         text = f"{folder}: {error.strerror}; set WARP_CACHE_PATH to a folder that can be written"
         return Finding("cache", "failed", text, data)
     text = f"kernels in {folder}, {sum(size_mb.values()):.0f} MB of scenes, pools and fits in {caches}"
+    if caches == Path(os.devnull):
+        text = f"kernels in {folder}; without a home scenes, pools and fits are not kept: set XDG_CACHE_HOME"
     return Finding("cache", "ok", text, data)
 
 

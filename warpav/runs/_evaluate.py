@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
@@ -28,7 +29,6 @@ from warpav.optimisation import (
     highest_mount_pose,
     metrics_of,
     observe_scenes,
-    pool_cache_folder,
 )
 from warpav.rig import Rig
 from warpav.runs._mounts import camera_mount, constraints_of
@@ -136,7 +136,7 @@ def evaluate_on(
     names = {name: [camera.name for camera in rig.cameras] for name, rig in rigs.items()}
     weight = weights_on(packed, placement)
     found = {name: observed.detection_probability for name, observed in observations.items()}
-    attainable = attainable_objects(placement.objective, scenes, drawing=Drawing(cache=pool_cache_folder()))
+    attainable = attainable_objects(placement.objective, scenes, drawing=Drawing(cache=user_cache_folder("pools")))
     iou_min = placement.objective.options.iou_min
     metrics = {
         name: metrics_of(observed, placement.objective, attainable=attainable)

@@ -7,12 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
 from warpav.core.executor import Executor
 from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.optimisation import Drawing, IterationRecord, LoadState, PoolRun, SoiledPart, pool_cache_folder
+from warpav.optimisation import Drawing, IterationRecord, LoadState, PoolRun, SoiledPart
 from warpav.rig import Rig, write_rig
 from warpav.runs._checkpoint import check_options
 from warpav.runs._evaluate import evaluate_on, rule_margins
@@ -157,7 +158,7 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
 def _drawing(config: Config) -> Drawing:
     """Where pools are drawn; what Slurm needs lies beside them, as all machines must see both."""
     of = config.executor
-    jobs = pool_cache_folder() / "slurm_jobs"
+    jobs = user_cache_folder("pools") / "slurm_jobs"
     return kept_drawing(Executor(of.name, of.workers, of.address, of.options, jobs, config.shared_gpu_count))
 
 

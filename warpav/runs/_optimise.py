@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
@@ -27,7 +28,6 @@ from warpav.optimisation import (
     mount_pose_by_hand,
     named_part,
     part_of,
-    pool_cache_folder,
     random_mount_pose,
     single_cameras_of,
 )
@@ -133,7 +133,7 @@ def pool_search_settings(config: Config) -> PoolSearchSettings:
 
 def kept_drawing(executor: Executor | None = None) -> Drawing:
     """Pools drawn by an executor, or here, and kept in the user's cache."""
-    return Drawing(executor, pool_cache_folder())
+    return Drawing(executor, user_cache_folder("pools"))
 
 
 def _named_start(placement: Placement, *, by_pool: bool) -> np.ndarray:

@@ -9,7 +9,12 @@ road users hold instance id, class and 3D box, and where it is known their veloc
 
 from __future__ import annotations
 
+import base64
+import json
+import logging
 import math
+import re
+import struct
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,16 +34,19 @@ from warpav.core.bounded_files import (
 )
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
-from warpav.core.records import Point2, Point3, Record, Word, read_record
+from warpav.core.records import Point2, Point3, Record, Word, read_record, unread, unread_text
 from warpav.raster.mesh import Mesh
 from warpav.scene._scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
 if TYPE_CHECKING:
     import trimesh
 
+_logger = logging.getLogger(__name__)
 _SCHEMA = "warpav-scene/1"
 _ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
 _VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
+_KNOWN_NODES = (_VEHICLE_PREFIX, _OTHER_PREFIX, ENVIRONMENT_NODE, EGO_NODE)
+_HARMLESS = ("schema", "frame", "units", "role")
 _EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
 GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 """(x, y, z) in the ego frame is (x, z, -y) in glTF."""
@@ -117,7 +125,7 @@ def read_scene(path: str | Path) -> Scene:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such scene file; write one with `warpav scenes make`")
-    data = bounded_mesh(path, "glb", str(path))
+    data, missed = bounded_mesh(path, "glb", str(path))
     if data[:4] != b"glTF":
         raise InputError(f"{path}: expected a GLB file (it starts with 'glTF'), got {data[:4]!r}; export binary glTF")
     try:
@@ -134,11 +142,12 @@ def read_scene(path: str | Path) -> Scene:
     count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in nodes)
     if count > TRIANGLES_MAX:
         raise InputError(f"{path}: expected at most {TRIANGLES_MAX:,} triangles in all nodes, got {count:,}")
-    users = []
+    users, strange = [], [f"node {name!r}" for name in nodes if not name.startswith(_KNOWN_NODES)]
     for name, extras in nodes.items():
         if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX)):
             where = f"{path}: node '{name}'"
             one = read_record(_Extras, extras, f"{where}: extras")
+            strange += [f"extras.{key}" for key in unread(one)]
             box = Box(np.array(one.box_center_m), np.array(one.box_size_m), float(np.radians(one.box_yaw_deg)))
             velocity = None if one.velocity_ego_m_s is None else np.array(one.velocity_ego_m_s)
             users.append(Vehicle(one.instance_id, one.category, _read_mesh(file, name, where), box, velocity))
@@ -147,6 +156,10 @@ def read_scene(path: str | Path) -> Scene:
     if count > 1:
         raise InputError(f"{path}: instance_id must be unique, got {instance_id} {count} times")
     about = read_record(_SceneExtras, file.metadata or {}, f"{path}: scene extras")
+    strange += [f"scene extras.{key}" for key in unread(about)]
+    missed += [unread_text(key for key in strange if key.partition("extras.")[2] not in _HARMLESS)]
+    for text in filter(None, missed):
+        _logger.warning("%s: %s", path, text)
     scene = Scene(
         path.stem if about.name is None else about.name,
         _read_mesh(file, ENVIRONMENT_NODE, f"{path}: node '{ENVIRONMENT_NODE}'"),
@@ -219,8 +232,12 @@ _COMPONENT_COUNT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MA
 _GLB_HEAD = 20  # bytes before the JSON
 
 
-def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
-    """The content of a mesh file, once it is known to be within bounds."""
+def bounded_mesh(file: Path, suffix: str, place: str) -> tuple[bytes, list[str]]:
+    """The content of a mesh file, once it is known to be within bounds, and what of it is not read.
+
+    Positions of a GLB that are normalised integers come as floats, because trimesh takes them for plain numbers.
+    """
+    missed: list[str] = []
     kind = f"a readable {suffix} file"
     content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
     try:
@@ -235,27 +252,87 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
         if suffix == "dae":
             parse_xml(content, "", "COLLADA", nodes_max=DATA_SET_NODES_MAX)
         elif suffix == "gltf":
-            _check_document(content)
+            missed, _ = _checked_document(content)
         elif suffix == "glb" and content.startswith(b"glTF"):
-            _check_document(content[_GLB_HEAD : _GLB_HEAD + int.from_bytes(content[12:16], "little")])
+            end = _GLB_HEAD + int.from_bytes(content[12:16], "little")
+            missed, changed = _checked_document(content[_GLB_HEAD:end], content[end:])
+            content = changed or content
     except InputError as error:
         raise InputError(f"{place}: expected {kind}, got: {error}; export it again") from None
-    return content
+    return content, missed
 
 
-def _check_document(content: bytes) -> None:
-    """Check the JSON of a glTF file: trimesh takes memory for what its arrays state, each counted where it is named."""
+_READ = re.compile(r"KHR_(mesh_quantization|materials_.*|lights_punctual|xmp.*)|EXT_texture_webp")
+"""Extensions that trimesh reads, or that change neither places nor colours."""
+_MISSED = re.compile(r"KHR_draco_.*|EXT_meshopt_.*|EXT_mesh_gpu_instancing")
+"""Extensions without which parts are missing."""
+_INTEGERS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2"}
+_FLOAT = 5126
+
+
+def _checked_document(content: bytes, rest: bytes | None = None) -> tuple[list[str], bytes | None]:
+    """What is not read of a glTF document; with the chunks behind it the GLB with floats for integers, if it has such.
+
+    trimesh takes memory for what its arrays state, each counted where it is named; it passes over much without a word.
+    """
     document = parse_json(content.rstrip(b"\0"), "", "a glTF document", nodes_max=DATA_SET_NODES_MAX)
-    total = 0.0
+    changed, total, missed = None, 0.0, []
     try:
+        required = set(document.get("extensionsRequired", ()))
+        others = {name for name in (*required, *document.get("extensionsUsed", ())) if not _READ.fullmatch(name)}
+        for name in sorted(others):
+            if name in required - {"KHR_texture_transform"} or _MISSED.fullmatch(name):
+                raise InputError(f"the extension {name}, which is not read: leave it out")
+        missed += [f"the extension {name} is not read" for name in sorted(others)]
+        if document.get("skins"):
+            missed.append("skeletons are not applied: what is bound to one may lie elsewhere")
+        if any(any(each.get("weights", ())) for key in ("meshes", "nodes") for each in document.get(key, ())):
+            missed.append("morph targets are not applied")
         for view in document.get("bufferViews", ()):
             total += _size(view["byteLength"])
         for accessor in document.get("accessors", ()):
             total += 8.0 * _COMPONENT_COUNT[accessor["type"]] * _size(accessor["count"])
-    except (AttributeError, KeyError, TypeError):
-        return  # it is no glTF, which trimesh says better
-    if total > ARRAY_BYTES_MAX:
-        raise InputError(f"arrays of more than {ARRAY_BYTES_MAX // 1_000_000} MB")
+            if "sparse" in accessor:
+                raise InputError("sparse accessors, which are not read: leave them out")
+        if total > ARRAY_BYTES_MAX:
+            raise InputError(f"arrays of more than {ARRAY_BYTES_MAX // 1_000_000} MB")
+        accessors = document.get("accessors", ())
+        attributes = [part["attributes"] for mesh in document.get("meshes", ()) for part in mesh["primitives"]]
+        named = {each[key] for each in attributes for key in ("POSITION", "TEXCOORD_0") if key in each}
+        normalised = [accessors[k] for k in sorted(named) if accessors[k].get("normalized")]
+        if normalised:
+            if rest is None or "uri" in document["buffers"][0]:
+                raise InputError("normalised integers outside of a GLB: make it one GLB")
+            changed = _with_floats(document, normalised, rest)
+    except (AttributeError, KeyError, TypeError, IndexError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        # it is no glTF, which trimesh says better
+    return missed, changed
+
+
+def _with_floats(document: dict[str, Any], normalised: list[dict[str, Any]], rest: bytes) -> bytes:
+    """The GLB of a document and its chunks, in which some accessors with normalised integers hold floats instead."""
+    floats = b""
+    for accessor in normalised:
+        view = document["bufferViews"][accessor["bufferView"]]
+        if view["buffer"] != 0:
+            raise InputError("normalised integers outside of a GLB: make it one GLB")
+        kind, columns = np.dtype(_INTEGERS[accessor["componentType"]]), _COMPONENT_COUNT[accessor["type"]]
+        step = view.get("byteStride", columns * kind.itemsize)
+        begin = 8 + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        number = np.ndarray((accessor["count"], columns), kind, rest, begin, (step, kind.itemsize))
+        added = np.maximum(number / np.iinfo(kind).max, -1.0).astype("<f4").tobytes()
+        views, buffers = document["bufferViews"], document["buffers"]
+        accessor |= {"bufferView": len(views), "byteOffset": 0, "componentType": _FLOAT, "normalized": False}
+        views.append({"buffer": len(buffers), "byteOffset": len(floats), "byteLength": len(added)})
+        floats += added
+    text = base64.b64encode(floats).decode()
+    document["buffers"].append({"byteLength": len(floats), "uri": f"data:application/octet-stream;base64,{text}"})
+    content = json.dumps(document).encode()
+    content += b" " * (-len(content) % 4)
+    length = _GLB_HEAD + len(content) + len(rest)
+    return struct.pack("<4sIII4s", b"glTF", 2, length, len(content), b"JSON") + content + rest
 
 
 def _size(count: object) -> float:

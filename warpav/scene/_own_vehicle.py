@@ -40,6 +40,7 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
 _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
+_STATED_LENGTH_M = (0.2, 40.0)
 _UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
 
 # least and greatest extents across and upwards; mirrors and aerials count, and a sports car is 1.1 m high
@@ -55,6 +56,7 @@ _TYPICAL_SIZE_M = {  # length, width with mirrors, and height of usual vehicles
 _GROUND_TOLERANCE_M = 0.05
 _AXLE_TOLERANCE_M = 0.1
 _MANY_TRIANGLES = 300_000
+_HOLDS = 3.0  # times as large as a vehicle is what stands around it
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,8 @@ class VehicleFile:
     is_declared: bool  # whether warpav wrote the file, so that its axes and origin are as the user stated them
     part: str  # part of the file, in words
     notes: tuple[str, ...] = ()  # what its owner should know of how it was read, such as textures that are missing
+    # A part many times as large as all others, which it holds, and their size in the file's units and axes, [3]
+    holder: tuple[str, np.ndarray] | None = None
 
     def in_ego_frame(self, reading: Reading) -> Mesh:
         """The vehicle in the ego frame."""
@@ -203,7 +207,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         raise InputError(
             f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
         )
-    bounded_mesh(path, suffix, f"{path}: vehicle")
+    content, unread = bounded_mesh(path, suffix, f"{path}: vehicle")
     finder = FileFinder(path)
     # glTF and COLLADA define their up axis; the other formats do not, so the ego frame is assumed
     usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
@@ -212,7 +216,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
             up, metres = _collada_frame(path)
             usual = usual.changed(up=up, scale=metres)
         # the resolver has all that trimesh asks of one
-        file = trimesh.load_scene(path, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
+        source = trimesh.util.wrap_as_stream(content) if suffix == "glb" else path
+        file = trimesh.load_scene(source, suffix, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
         nodes = [str(name) for name in file.graph.nodes_geometry]
         is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
         is_own = (file.metadata or {}).get("schema") == _SCHEMA
@@ -220,7 +225,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
         if count > TRIANGLES_MAX:
             raise ValueError(f"{count:,} triangles in all nodes, of at most {TRIANGLES_MAX:,}")
-        parts = [part for name in names if (part := _part(file, name, finder)) is not None]
+        found = [(name, part) for name in names if (part := _part(file, name, finder)) is not None]
+        parts = [part for _, part in found]
     except InputError:
         raise
     except Exception as error:
@@ -230,7 +236,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         ) from None
     if not parts:
         raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
-    notes = list(finder.notes)
+    notes = [*unread, *finder.notes]
     model = None if is_scene or is_own else simulator_model(path)
     if model is not None:
         usual = usual.changed(forward=model.forward, scale=usual.scale * model.scale)
@@ -248,6 +254,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         is_scene or is_own,
         "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
         tuple(notes),
+        _holder([(name, mesh.vertex[np.unique(mesh.triangle)]) for name, (mesh, _) in found]),
     )
 
 
@@ -267,7 +274,7 @@ def examine(
     point_m = points_on(mesh)
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
     shape = shape_of(point_m)
-    found = _Findings(reading, stated, file.is_declared, [], list(file.notes))
+    found = _Findings(reading, stated, file.is_declared, file.holder, [], list(file.notes))
     found.look_at_unit(_ordered(size_m, shape))
     found.look_at_axes(shape, size_m)
     wheels = None
@@ -333,10 +340,11 @@ class _Findings:
     reading: Reading
     stated: frozenset[str]
     is_declared: bool
+    holder: tuple[str, np.ndarray] | None
     problems: list[VehicleProblem]
     hints: list[str]
 
-    def _problem(self, text: str, remedy: dict[str, str]) -> None:
+    def _problem(self, text: str, remedy: dict[str, str] | None) -> None:
         self.problems.append(VehicleProblem(text, remedy))
 
     def look_at_unit(self, size_m: np.ndarray) -> None:
@@ -361,8 +369,17 @@ class _Findings:
                 self._problem(f"{text}; with `scale` {scale:g} it is {better}, as {name}", {"scale": f"{scale:g}"})
             return
         text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {size_m[0]:.4g} m"
+        if self.holder is not None:
+            part, held = self.holder
+            inside = " x ".join(f"{value * self.reading.scale:.4g}" for value in held)
+            self._problem(f"{text}: the part {part!r} holds all others, which are {inside} m; leave it out", None)
+            return
         if name in dict(_UNITS):
             self._problem(f"{text}{with_scale}, which is right in {name}", {"scale": f"{scale:g}"})
+            return
+        least_m, most_m = _STATED_LENGTH_M
+        if (is_stated or self.is_declared) and least_m <= size_m[0] <= most_m:
+            self.hints.append(f"{text}; accepted as stated")
             return
         text += f", implausible in any common unit; with `scale` {scale:.4g} it is {better}, as {name}"
         self._problem(text, {"scale": f"{scale:.4g}"})
@@ -494,6 +511,19 @@ def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> tuple[TexturedM
     uv = np.zeros((len(vertex), 2)) if texture is None else np.asarray(geometry.visual.uv, np.float64)
     rgb = vertex_rgb(geometry, is_plain=finder.lacks_materials).astype(np.float64)
     return TexturedMesh(vertex, triangle, rgb, uv, np.full(len(triangle), -1 if texture is None else 0)), texture
+
+
+def _holder(parts: list[tuple[str, np.ndarray]]) -> tuple[str, np.ndarray] | None:
+    """The part that holds all others and is several times as large along every axis, and their size, [3]."""
+    ends = {name: np.stack([vertex.min(axis=0), vertex.max(axis=0)]) for name, vertex in parts}
+    for name, own in ends.items():
+        others = [each for other, each in ends.items() if other != name]
+        if others:
+            low, high = np.min([each[0] for each in others], axis=0), np.max([each[1] for each in others], axis=0)
+            is_inside = (own[0] <= low + 1e-6 * np.abs(low)).all() and (own[1] >= high - 1e-6 * np.abs(high)).all()
+            if is_inside and (np.ptp(own, axis=0) > _HOLDS * (high - low)).all():
+                return name, high - low
+    return None
 
 
 def _joined(parts: list[tuple[TexturedMesh, Texture | None]]) -> tuple[TexturedMesh, list[Texture]]:

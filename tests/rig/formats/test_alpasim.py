@@ -10,7 +10,8 @@ from tests.rig.formats.known_pose import ALPASIM, POSITION_M, write_sample
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, import_rig_with_notes
-from warpav.rig.formats._alpasim import READ_PX, WRITE_PX
+from warpav.rig.formats._alpasim import WRITE_PX
+from warpav.rig.formats._format import READ_PX
 
 PINHOLE = CameraModel(640, 480, focal_px=(500.0, 501.0), centre_px=(310.0, 240.0))
 BROWN = {"lens": "brown_conrady", "focal_px": (1300.0, 1310.0), "centre_px": (810.0, 441.0)}
@@ -264,7 +265,7 @@ def test_f_theta_with_odd_powers_is_a_fisheye(tmp_path):
         (
             "-9.587550163269043",
             "-99.5",
-            "fisheye with four coefficients comes within 0.25 px of, got one that it is off",
+            "one of warpav's comes within 0.25 px of, got one that it is off",
         ),
         ("linear_d: 6.27807603450492e-05", "linear_d: 0.01", "comes within 0.25 px of, got one that it is off by 6"),
         ("linear_c: 0.9997570514678955", "linear_c: 0.0", "linear_cde.linear_c: expected the proportions of a pixel"),

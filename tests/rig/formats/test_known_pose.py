@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+import re
 from xml.etree import ElementTree
 
 import cv2
@@ -14,9 +15,11 @@ from tests.rig.formats.known_pose import (
     BRIDGE,
     CAMERA_FROM_EGO,
     MATRIX,
+    NUSCENES,
     PITCH_DEG,
     PITCH_RAD,
     POSITION_M,
+    PYTHON_SENSORS,
     QUATERNION_WXYZ,
     ROLL_DEG,
     ROLL_RAD,
@@ -24,6 +27,7 @@ from tests.rig.formats.known_pose import (
     YAW_RAD,
     write_sample,
 )
+from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, import_rig_with_notes
 
@@ -240,10 +244,294 @@ def test_argoverse2_reads_and_writes_the_known_camera(tmp_path):
 
     feather.write_feather(pyarrow.table(poses), files["egovehicle_SE3_sensor.feather"])
     feather.write_feather(
-        pyarrow.table({**{key: [value] for key, value in lens.items()}, "k1": [-0.24]}), files["intrinsics.feather"]
+        pyarrow.table({**{key: [value] for key, value in lens.items()}, "k1": [-0.24], "skew": [1.0]}),
+        files["intrinsics.feather"],
     )
     rig, notes = import_rig_with_notes(tmp_path / "out", "argoverse2", ImportOptions(origin_m=(0.0, 0.0, 0.33)))
     (camera,) = rig.cameras
     assert camera.position_m == pytest.approx([1.7, 0.5, 1.93])
     assert camera.model == CameraModel(640, 480, camera.model.fov_rad)
     assert any("undistorted" in note for note in notes)
+    assert notes[2].endswith(": not read: skew")
+
+
+# ------------------------------------------------------------------------------------- files as others have them
+
+OPTICAL_RPY = "-1.5707963267948966 0 -1.5707963267948966"
+SIZED_LENS = {"width_px": 800, "height_px": 400, "fov_deg": 74.5}
+
+
+def robot(*parts):
+    return f'<robot name="r"><link name="base_link"/>{"".join(parts)}</robot>'
+
+
+def joint(child, parent, xyz="0 0 0", rpy="0 0 0"):
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/>'
+    return f'<link name="{child}"/><joint name="{child}_j" type="fixed">{ends}</joint>'
+
+
+def imported(folder, name, files, *, origin_m=(0.0, 0.0, 0.0), **options):
+    """Cameras by name and notes of files, the first of which is named; of Autoware the folder."""
+    for file, content in files.items():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_text(content if isinstance(content, str) else json.dumps(content))
+    path = folder if name == "autoware" else folder / next(iter(files))
+    rig, notes = import_rig_with_notes(path, name, ImportOptions(origin_m, **options))
+    return {camera.name: camera for camera in rig.cameras}, "\n".join(notes[1:])
+
+
+def place(camera):
+    """Position [m], yaw, pitch and roll [deg]."""
+    return [*camera.position_m.tolist(), *np.degrees([camera.yaw_rad, camera.pitch_rad, camera.roll_rad])]
+
+
+def near(*numbers, within=1e-6):
+    return pytest.approx(list(numbers), abs=within)
+
+
+def test_the_distortion_of_nuscenes_kin_is_read(tmp_path):
+    matrix = [[1000.0, 0.0, 960.0], [0.0, 1000.0, 540.0], [0.0, 0.0, 1.0]]
+    pose = {"translation": [1.5, 0.0, 1.8], "rotation": [0.5, -0.5, 0.5, -0.5], "camera_intrinsic": matrix}
+    row = {**NUSCENES["calibrated_sensor.json"][1], **pose}
+    size = [{**NUSCENES["sample_data.json"][0], "width": 1920, "height": 1080}]
+    numbers = [-0.3, 0.1, 0.001, -0.0005, -0.015]
+    for more in ([], [0.0], [0.02]):  # nuImages has a sixth number
+        rows = [{**row, "camera_distortion": numbers + more}]
+        files = {"calibrated_sensor.json": rows, "sample_data.json": size}
+        if any(more):
+            with pytest.raises(InputError, match="a sixth number that is not 0 is no lens of warpav"):
+                imported(tmp_path, "nuscenes", files)
+            continue
+        (camera,) = imported(tmp_path, "nuscenes", files)[0].values()
+        point = np.array([[-3.0, 0.8, 10.0], [-8.0, 3.0, 10.0]])
+        expected = cv2.projectPoints(point, np.zeros(3), np.zeros(3), np.array(matrix), np.array(numbers))[0][:, 0]
+        np.testing.assert_allclose(camera.model.project(point), expected + 0.5, atol=1e-9)
+
+
+def chain(**entries):
+    entry = {"camera_model": "pinhole", "distortion_model": "none", "intrinsics": [460.0, 460.0, 320.0, 240.0]}
+    return {"chain.yaml": "%YAML:1.0\n" + yaml.safe_dump({"cam0": {**entry, "resolution": [640, 480], **entries}})}
+
+
+def test_kalibr_s_kin_turn_the_imu_s_transform_round(tmp_path):
+    imu_from_camera = [[0.0, 0.0, 1.0, 1.2], [-1.0, 0.0, 0.0, 0.4], [0.0, -1.0, 0.0, 1.5], [0.0, 0.0, 0.0, 1.0]]
+    for entry in ({"T_imu_cam": imu_from_camera}, {"T_cam_imu": np.linalg.inv(imu_from_camera).tolist()}):
+        cameras, notes = imported(tmp_path, "kalibr", chain(**entry))
+        assert place(cameras["cam0"]) == near(1.2, 0.4, 1.5, 0, 0, 0)
+        assert "IMU" in notes
+
+
+def test_omni_without_distortion_is_eucm(tmp_path):
+    entries = {"camera_model": "omni", "intrinsics": [0.8, 830.0, 830.0, 370.0, 250.0], "distortion_coeffs": []}
+    cameras, _ = imported(tmp_path, "kalibr", chain(**entries))
+    point = np.array([[2.0, 0.5, 3.0], [-3.0, 1.0, 1.0]])
+    sphere = point / np.linalg.norm(point, axis=1, keepdims=True)  # the model of Mei in closed form
+    expected = 830.0 * sphere[:, :2] / (sphere[:, 2:] + 0.8) + [370.5, 250.5]
+    np.testing.assert_allclose(cameras["cam0"].model.project(point), expected, atol=1e-9)
+    with pytest.raises(InputError, match=r"cam0\.distortion_model: expected none beside omni"):
+        imported(tmp_path, "kalibr", chain(**entries | {"distortion_model": "radtan"}))
+
+
+MESSAGE = """\
+header: {{stamp: {{sec: 17, nanosec: 0}}, frame_id: front}}
+height: 800
+width: 1280
+distortion_model: {model}
+{d}: {distortion}
+{k}: [690.0, 0.0, 640.0, 0.0, 690.0, 400.0, 0.0, 0.0, 1.0]
+binning_x: {binning}
+binning_y: {binning}
+roi: {{x_offset: {offset}, y_offset: 0, height: {height}, width: {width}, do_rectify: {rectify}}}
+---
+"""
+BENT = [-0.0306, 0.0352, -0.000138, -0.000146, -0.01204]
+WHOLE = {"binning": 0, "offset": 0, "height": 0, "width": 0, "rectify": "false"}
+WHOLE |= {"d": "d", "k": "k", "model": "plumb_bob", "distortion": BENT}
+
+
+def messaged(folder, **changes):
+    info = MESSAGE.format(**{**WHOLE, **changes})
+    files = {"rig.urdf": robot(joint("front/camera_link", "base_link")), "camera_info/front.yaml": info}
+    cameras, notes = imported(folder, "urdf", files)
+    return cameras["front"].model, notes
+
+
+@pytest.mark.parametrize(
+    ("changes", "matrix", "size"),
+    [
+        ({}, [690.0, 640.5, 400.5], (1280, 800)),
+        ({"d": "D", "k": "K", "distortion": [*BENT, 0.0, 0.0, 0.0]}, [690.0, 640.5, 400.5], (1280, 800)),
+        # REP 104: a region of the sensor, then pixels joined by twos; counted from the image's corner
+        ({"binning": 2}, [345.0, 320.25, 200.25], (640, 400)),
+        ({"binning": 2, "offset": 320, "width": 640, "height": 600}, [345.0, 160.25, 200.25], (320, 300)),
+    ],
+)
+def test_camera_info_may_be_the_message_of_a_topic(tmp_path, changes, matrix, size):
+    model, notes = messaged(tmp_path, **changes)
+    assert (model.width_px, model.height_px) == size
+    assert (model.lens, list(model.distortion)) == ("brown_conrady", BENT)
+    assert [model.intrinsics[0, 0], *model.intrinsics[:2, 2]] == pytest.approx(matrix)
+    assert "not read" not in notes
+    with pytest.raises(InputError, match=r"roi\.do_rectify: expected false"):
+        messaged(tmp_path, **changes, rectify="true")
+
+
+def test_a_distortion_that_folds_is_told(tmp_path):
+    k1, k2, p1, p2, k3, k4, k5, k6 = -13.238, -98.012, 0.00144, 0.00285, 1357.78, -13.0508, -102.363, 1383.06
+    _, notes = messaged(tmp_path, model="rational_polynomial", distortion=[k1, k2, p1, p2, k3, k4, k5, k6])
+    squared = np.linspace(0.0, 0.2, 200_001)  # where the radius stops growing
+    growth = np.diff(np.sqrt(squared) * np.polyval([k3, k2, k1, 1.0], squared) / np.polyval([k6, k5, k4, 1.0], squared))
+    fold_deg = math.degrees(math.atan(math.sqrt(squared[np.argmax(growth < 0.0)])))
+    (told,) = re.findall(r"folds ([\d.]+) deg from the axis, before the corners", notes)
+    assert float(told) == pytest.approx(fold_deg, abs=0.1)  # it ends a little before
+
+
+def test_frames_of_other_sensors_are_no_cameras(tmp_path):
+    kinds = ("depth", "infra1", "color", "accel", "gyro", "side")
+    links = [joint("camera_link", "base_link", "1.01 0.02 0.91")]
+    for kind in kinds:
+        links.append(joint(f"camera_{kind}_frame", "camera_link", "0 0.015 0" if kind == "color" else "0 0 0"))
+        links.append(joint(f"camera_{kind}_optical_frame", f"camera_{kind}_frame", rpy=OPTICAL_RPY))
+    links.append('<gazebo reference="camera_side_frame"><sensor name="d" type="depth"/></gazebo>')
+    lens = "<horizontal_fov>1.2043</horizontal_fov><image><width>1280</width><height>720</height></image>"
+    sensor = '<gazebo reference="camera_color_frame"><sensor name="c" type="camera">{}</sensor></gazebo>'
+    gazebo = sensor.format(f"<camera>{lens}</camera>")
+    cameras, notes = imported(tmp_path, "urdf", {"rig.urdf": robot(*links, gazebo)})
+    assert list(cameras) == ["camera_color"]
+    assert place(cameras["camera_color"]) == near(1.01, 0.035, 0.91, 0, 0, 0)
+    model = cameras["camera_color"].model
+    assert (model.width_px, model.height_px, model.fov_rad) == (1280, 720, pytest.approx(1.2043))
+    told = notes.partition(": taken for no cameras")[0].split(", ")
+    assert told == [f"camera_{kind}_optical_frame" for kind in kinds if kind != "color"]
+    assert list(imported(tmp_path, "urdf", {"b.urdf": robot(*links)}, **SIZED_LENS)[0]) == ["camera_color"]
+    turned = robot(*links, sensor.format(f"<pose>0 0 0 0 0 1</pose><camera>{lens}</camera>"))
+    with pytest.raises(InputError, match="pose: expected none beside that of the link, got '0 0 0 0 0 1'"):
+        imported(tmp_path, "urdf", {"c.urdf": turned})
+
+
+def autoware(folder, base, units, **options):
+    """Cameras and notes of units, whose links are x, y, z, roll, pitch, yaw."""
+
+    def links(numbers):
+        keys = ("x", "y", "z", "roll", "pitch", "yaw")
+        return {name: dict(zip(keys, map(float, each), strict=True)) for name, each in numbers.items()}
+
+    files = {"sensors_calibration.yaml": {"base_link": links(base)}}
+    files |= {f"{unit}_calibration.yaml": {f"{unit}_base_link": links(each)} for unit, each in units.items()}
+    texts = {name: yaml.safe_dump(content) for name, content in files.items()}
+    return imported(folder, "autoware", texts, **SIZED_LENS, **options)
+
+
+def test_autoware_may_have_several_units(tmp_path):
+    front, rear = {"c0/camera_link": (0.1, 0, 0.3, 0, 0.1, 0)}, {"c1/camera_link": (0.2, 0.1, 0.2, 0, 0, 0)}
+    base = {"front_base_link": (5, 0, 0.6, 0, 0, 0), "rear_base_link": (-1.2, 0, 0.8, 0, 0, 3.0)}
+    cameras, _ = autoware(tmp_path, base, {"front": front, "rear": rear})
+    assert place(cameras["c0"]) == near(5.1, 0, 0.9, 0, math.degrees(0.1), 0)
+    s, c = math.sin(3.0), math.cos(3.0)
+    assert place(cameras["c1"]) == near(0.2 * c - 0.1 * s - 1.2, 0.2 * s + 0.1 * c, 1.0, math.degrees(3.0), 0, 0)
+
+
+def test_optical_frames_of_autoware_are_known_by_their_angles(tmp_path):
+    base = {"sensor_kit_base_link": (2, 0, 0.5, 0, 0, 0)}
+    links = {
+        "camera0/camera_link": (0, 0, 1.5, -1.8709, 0, -1.5708),
+        "camera1/camera_link": (0, 0.9, 1.0, -1.5708, 0, 0.3840),
+        "camera2/camera_link": (0, -0.9, 1.0, -1.5708, 0, 2.7576),
+    }
+    cameras, notes = autoware(tmp_path, base, {"sensor_kit": links})
+    assert ", ".join(links) + ": x right, y down, z forward, as an optical frame, by its angles; it is read so" in notes
+    assert place(cameras["camera0"]) == near(2, 0, 2, 0, 17.194, 0, within=2e-3)
+    assert place(cameras["camera1"]) == near(2, 0.9, 1.5, 112.002, 0, 0, within=2e-3)
+    cameras, notes = autoware(tmp_path, base, {"sensor_kit": {**links, "camera3/camera_link": (0, 0, 1.5, 0, 0, 0)}})
+    assert ", ".join(links) in notes
+    assert "it is not read so" in notes
+    assert place(cameras["camera3"]) == near(2, 0, 2, 0, 0, 0)
+
+
+def test_a_left_handed_file_can_be_turned_round(tmp_path):
+    parts = {"sensor_kit_base_link": [0] * 6}, {"sensor_kit": {"LEFT/camera_link": (1.7, -0.5, 1.6, 0.1, 0.2, -0.96)}}
+    cameras, _ = autoware(tmp_path, *parts, mirror_y=True)
+    assert place(cameras["LEFT"]) == near(1.7, 0.5, 1.6, *np.degrees([0.96, 0.2, -0.1]))
+    with pytest.raises(InputError, match="`mirror_y` turns it round"):
+        autoware(tmp_path, *parts)
+
+
+def test_kitti_s_tracking_and_raw_data_are_read(tmp_path):
+    lines = [f"P{i}: 700 0 600 {px} 0 700 180 0 0 0 1 0" for i, px in enumerate((0.0, -378.0, 42.0, -336.0))]
+    raw = ["calib_time: 09-Jan-2012 13:57:47", "S_00: 1392 512", "R_rect_00: 1 0 0 0 1 0 0 0 1"]
+    raw += [line.replace("P", "P_rect_0", 1) for line in lines] + [f"S_rect_0{i}: 1242 375" for i in range(4)]
+    lines += ["R_rect 1 0 0 0 1 0 0 0 1", "Tr_velo_cam 0 -1 0 0 0 0 -1 -0.08 1 0 0 -0.27", "Tr_imu_velo 1 0 0 0"]
+    lidar = {"calib_velo_to_cam.txt": "R: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.08 -0.27"}
+    raw = {"calib_cam_to_cam.txt": "\n".join(raw)}
+    with pytest.raises(InputError, match=r"calib_cam_to_cam\.txt: expected calib_velo_to_cam\.txt beside it"):
+        imported(tmp_path, "kitti", raw)
+    for files in ({"0000.txt": "\n".join(lines)}, raw | lidar):
+        sized = {} if lidar.keys() <= files.keys() else {"width_px": 1242, "height_px": 375}
+        cameras, notes = imported(tmp_path, "kitti", files, origin_m=(0.0, 0.0, 1.73), **sized)
+        for i, y in enumerate((0, -0.54, 0.06, -0.48)):
+            assert place(cameras[f"image_{i}"]) == near(0.27, y, 1.65, 0, 0, 0)
+        assert cameras["image_2"].model.width_px == 1242
+        assert "not read" not in notes
+
+
+def test_an_agent_s_module_gives_its_sensors(tmp_path):
+    sensors = PYTHON_SENSORS.replace("'width': 640", "'width': '640'").replace("'fov': 90", "'fov': '90'")
+    text = "import math\n\nclass Agent:\n    def sensors(self):\n        return " + sensors.replace("\n", "\n        ")
+    cameras, _ = imported(tmp_path, "carla-python", {"agent.py": text})
+    np.testing.assert_allclose(cameras["front_left"].ego_from_camera, RIG.cameras[0].ego_from_camera, atol=1e-12)
+    assert cameras["front_left"].model == CameraModel(640, 480)
+
+
+def test_a_lens_that_is_off_is_taken_when_asked(tmp_path):
+    series = [0.0, 339.749, -31.988, 48.275, -7.201]  # of WoodScape
+    ftheta = {"principal_point": [643.44, 478.9], "reference_poly": "angle_to_pixel", "angle_to_pixeldist": series}
+    row = {
+        "logical_id": "front",
+        "rig_to_camera": {"translation_m": [3.7, 0.0, 0.65], "rotation_xyzw": [-0.5, 0.5, -0.5, 0.5]},
+        "resolution_hw": [966, 1280],
+        "intrinsics": {"model": "ftheta", "ftheta": {**ftheta, "max_angle": 1.7}},
+    }
+    files = {"rig.yaml": yaml.safe_dump({"extra_cameras": [row]})}
+    with pytest.raises(InputError, match=r"off by 0\.44 px; `approximate` takes it"):
+        imported(tmp_path, "alpasim", files)
+    cameras, notes = imported(tmp_path, "alpasim", files, approximate=True)
+    assert "off by at most 0.44 px" in notes
+    angle = np.linspace(0.05, 1.4, 28)
+    found = cameras["front"].model.project(np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1))[:, 0]
+    assert np.abs(found - 643.94 - np.polyval(series[::-1], angle)).max() < 0.45
+
+
+UNKNOWN = {
+    "nuscenes": ('"translation": [1.7', '"lens_shift": 3, "translation": [1.7', "lens_shift"),
+    "urdf": ('<link name="roof"/>', '<link name="roof"/><sensor name="a"/>', "<sensor>"),
+    "autoware": (
+        "  front_left/camera_link:\n",
+        "  front_left/lens: {x: 1.0}\n  front_left/camera_link:\n",
+        "_left/lens",
+    ),
+    "carla-ros-bridge": ('"fov": 90.0', '"fov": 90.0, "lens_kcube": 1.0', "objects.sensors.lens_kcube"),
+    "carla-python": ("'fov': 90", "'fov': 90, 'lens_kcube': 1.0", "lens_kcube"),
+    "kitti": ("R0_rect:", "D_rect: 1 2 3\nR0_rect:", "D_rect"),
+    "opencv": ("image_width: 640", "image_width: 640\nxi: 0.8", "xi"),
+    "alpasim": (
+        "      model: opencv_pinhole",
+        "      shift: 3\n      model: opencv_pinhole",
+        "cameras.intrinsics.shift",
+    ),
+    "kalibr": ("  resolution: [640, 480]", "  resolution: [640, 480]\n  T_BS: [1.0]", "cam0.T_BS"),
+    "camera-info": ("image_width: 640", "image_width: 640\nvignette: 3", "vignette"),
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_a_key_that_is_not_read_is_named(tmp_path, name):
+    old, new, key = UNKNOWN[name]
+    name = "urdf" if name == "camera-info" else name  # which lies beside
+    for spoil in (False, True):
+        path = write_sample(name, tmp_path)
+        for file in sorted(tmp_path.rglob("*")) if spoil else ():
+            if file.is_file() and old in (text := file.read_text()):
+                file.write_text(text.replace(old, new, 1))
+        _, notes = import_rig_with_notes(path, name, SIZED)
+        told = [note for note in notes if ": not read: " in note and key in note]
+        assert len(told) == spoil

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tests.scene.traffic.recordings import LANE_M, street, write
+from tests.scene.traffic.test_drone_formats import write_highd, write_ind, write_interaction, write_sumo
+from tests.scene.traffic.test_formats import write_forecast, write_nuscenes, write_waymo
 from warpav.core.errors import InputError
 from warpav.scene.traffic.files import read_recording, recordings_in
 from warpav.scene.traffic.formats._argoverse2 import EGO_CENTRE_M
@@ -297,3 +299,45 @@ def test_bad_logs_are_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(InputError, match=r'run: pip install "warpav\[av2\]"'):
         read_recording(log)
+
+
+def as_json(folder):
+    return write(folder, street())
+
+
+def as_commonroad(folder):
+    (folder / "a.xml").write_text(scenario("2020a"))
+    return folder / "a.xml"
+
+
+UNKNOWN = [
+    (as_json, '"dt_s"', '"offset_s": 3, "dt_s"', "offset_s"),
+    (as_json, '"length_m"', '"long_m": 3, "length_m"', "road_users.long_m"),
+    (as_json, '"left"', '"wide_m": 3, "left"', "lanelets.wide_m"),
+    (as_commonroad, "<trajectory>", "<occupancySet/><trajectory>", "<occupancySet>"),
+    (write_waymo, '"valid"', '"offset": 3, "valid"', "objects.offset"),
+    (write_waymo, '"geometry"', '"offset": 3, "geometry"', "roads.offset"),
+    (write_nuscenes, '"size"', '"velocity": [0, 0, 0], "size"', "velocity"),
+    (write_sumo, 'lane="E0_1"', 'lane="E0_1" offset="3"', "offset"),
+    (write_interaction, "track_id,frame", "case_id,track_id,frame", "case_id"),
+    (write_interaction, 'k="subtype"', 'k="offset" v="3"/><tag k="subtype"', "lanelet offset"),
+    (write_ind, "locationId,frameRate", "offset,locationId,frameRate", "offset"),
+    (write_highd, "frame,id,x", "offset,frame,id,x", "offset"),
+]
+
+
+@pytest.mark.parametrize(("writer", "old", "new", "key"), UNKNOWN)
+def test_a_key_that_is_not_read_is_named(tmp_path, writer, old, new, key):
+    writer(tmp_path)
+    [recording, *_] = recordings_in([tmp_path])
+    assert "not read" not in read_recording(recording).account
+    for file in tmp_path.rglob("*"):
+        if file.is_file() and old in (text := file.read_text()):
+            head, *rows = text.replace(old, new).split("\n")
+            rows = [f"1,{row}" if row and file.suffix == ".csv" else row for row in rows]  # the column is the first
+            file.write_text("\n".join([head, *rows]))
+    assert f"not read: {key}" in read_recording(recording).account
+
+
+def test_a_column_of_argoverse_2_that_is_not_read_is_named(tmp_path):
+    assert "not read: lane_offset" in read_recording(write_forecast(tmp_path / "1", lane_offset=[0.0] * 48)).account

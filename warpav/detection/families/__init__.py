@@ -13,6 +13,7 @@ format                  images                       outputs
 ``ultralytics-rtdetr``  RGB 0..1, stretched          [b, n, 6]: centre, size in 0..1, score, class
 ``yolox``               BGR 0..255, top left on grey [b, n, 5 + classes]: offset, log size [cells], objectness, scores
 ``yolox-decoded``       BGR 0..255, top left on grey [b, n, 5 + classes]: centre, size [px], objectness, scores
+``yolov5``              RGB 0..1, centred on grey    [b, 3 n, 5 + classes]: centre, size [px], objectness, scores
 ``torchvision``         RGB 0..1, top left on grey   boxes, labels, scores in any order; class 0 is the background
 ``rtdetr``              RGB 0..1, stretched          labels, boxes, scores; second input: the size that boxes refer to
 ``rtdetr-single``       RGB 0..1, stretched          [b, n, 6]: x0, y0, x1, y1 [px], score, class
@@ -38,6 +39,7 @@ from warpav.detection.families._layouts import (
     Ultralytics,
     UltralyticsEndToEnd,
     UltralyticsRtdetr,
+    YoloV5,
     Yolox,
     YoloxDecoded,
 )
@@ -48,6 +50,7 @@ FAMILIES: tuple[type[Family], ...] = (
     UltralyticsRtdetr,
     Yolox,
     YoloxDecoded,
+    YoloV5,
     Torchvision,
     Rtdetr,
     RtdetrSingle,

@@ -97,11 +97,21 @@ class NetworkFile:
         return None if rows is None or columns is None else (rows, columns)
 
     @property
+    def unread_metadata(self) -> list[str]:
+        """What is written beside the network that nobody here knows."""
+        return sorted(self.metadata.keys() - _KNOWN_METADATA)
+
+    @property
     def is_from_ultralytics(self) -> bool:
         """Whether its metadata are those that ultralytics writes, apart from labels."""
         return bool({"head", "end2end", "imgsz", "task"} & set(self.metadata)) or "Ultralytics" in (
             self.metadata.get("description", "") + self.metadata.get("author", "")
         )
+
+    @property
+    def is_end_to_end(self) -> bool:
+        """Whether its metadata say that it suppresses by itself, by its head or by what was appended to it."""
+        return self.metadata.get("end2end") == "True" or "'nms': True" in self.metadata.get("args", "")
 
     @property
     def is_ultralytics_rtdetr(self) -> bool:
@@ -120,12 +130,20 @@ def metadata_labels(path: Path, metadata: Mapping[str, str]) -> tuple[str, ...] 
         value = ast.literal_eval(text)
         if not isinstance(value, (list, tuple, dict)) or not value:
             raise TypeError
+        if isinstance(value, dict):  # whose keys are texts in JSON
+            value = {int(key): label for key, label in value.items()}
         return tuple(str(value[index]) for index in range(len(value)))
     except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError) as error:
         raise InputError(
             f"{path}: metadata 'names' is not a list of labels: {text[:80]!r}; set detector.labels"
         ) from error
 
+
+_KNOWN_METADATA = {
+    *("names", "stride", "batch", "args", "end2end", "head", "description", "author", "task", "imgsz", "channels"),
+    *("date", "version", "license", "docs"),
+}
+"""Metadata that are read, or say nothing of how images go in and boxes come out."""
 
 GREY = 114
 """Value of the padding."""
@@ -257,6 +275,12 @@ class Family(ABC):
         return self.image.shape[0] if len(self.image.shape) == 4 else 1
 
     @property
+    def step_px(self) -> int:
+        """What sides of a dynamic input are multiples of: as the metadata say, else as the family's usually are."""
+        stated = self.file.metadata.get("stride", "")
+        return max(self.stride_px, int(stated)) if stated.isdecimal() and int(stated) <= 256 else self.stride_px
+
+    @property
     def takes_unit_rgb(self) -> bool:
         """Whether the input is RGB in 0..1, float32, so that such tensors go in as they are."""
         return not self.is_bgr and self.white == 1.0 and self.image.dtype == "float32"
@@ -275,7 +299,7 @@ class Family(ABC):
         scale = 1.0 if input_px is None else input_px / max(height_px, width_px)
         fixed = self.image.shape[-2:]
         rows, columns = (
-            max(1, math.ceil(round(side * scale) / self.stride_px)) * self.stride_px for side in (height_px, width_px)
+            max(1, math.ceil(round(side * scale) / self.step_px)) * self.step_px for side in (height_px, width_px)
         )
         return (fixed[0] or rows, fixed[1] or columns)
 

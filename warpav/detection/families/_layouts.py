@@ -55,7 +55,7 @@ class Ultralytics(ScoredFamily):
         axis, shape = cls._class_axis(file), single_output_shape(file)
         assert shape is not None
         assert axis is not None
-        if file.is_ultralytics_rtdetr or (axis == 2 and shape[2] == 6):
+        if file.is_ultralytics_rtdetr or (axis == 2 and shape[2] == 6) or (shape[axis] is None and file.is_end_to_end):
             return None
         if file.labels is not None:
             return f"{len(file.labels)} labels, and an output with 4 + {len(file.labels)} numbers for every candidate"
@@ -89,14 +89,26 @@ class UltralyticsEndToEnd(Family):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        shape = single_output_shape(file)
-        return shape is not None and shape[2] == 6
+        return _may_have_columns(file, 6)
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
         if not file.is_from_ultralytics or file.is_ultralytics_rtdetr:
             return None
+        shape = single_output_shape(file)
+        assert shape is not None
+        if shape[2] is None:
+            return "its metadata are of an ultralytics export that suppresses by itself" if file.is_end_to_end else None
         return "its metadata are of an ultralytics export, and its output has 6 numbers for every box"
+
+    @property
+    def batch(self) -> int | None:
+        # A suppression that was appended (``nms=True``) is a loop over the images of its export, which the file's axes
+        # do not tell; further images come out empty.
+        fixed, stated = super().batch, self.file.metadata.get("batch", "")
+        if fixed is not None or not self.file.is_from_ultralytics or self.file.metadata.get("end2end") == "True":
+            return fixed
+        return int(stated) if stated.isdecimal() and 0 < int(stated) <= 1024 else 1
 
     def decode(self, outputs: tuple[np.ndarray, ...], asked: Asked) -> Candidates:
         rows = outputs[0]
@@ -115,8 +127,7 @@ class UltralyticsRtdetr(Family):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        shape = single_output_shape(file)
-        return shape is not None and shape[2] in (6, 4 + len(COCO_80 if file.labels is None else file.labels))
+        return _may_have_columns(file, 6, 4 + len(COCO_80 if file.labels is None else file.labels))
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
@@ -133,6 +144,14 @@ class UltralyticsRtdetr(Family):
         return listed_candidates(self.file, box_input_px, rows[:, 4:].max(axis=1), best, asked)
 
 
+def _may_have_columns(file: NetworkFile, *counts: int) -> bool:
+    """Whether the only output has one of so many numbers for every box, or may have: its sides are left open."""
+    shape = single_output_shape(file)
+    if shape is None or shape[2] is not None:
+        return shape is not None and shape[2] in counts
+    return shape[1] is None or file.is_end_to_end
+
+
 # ----------------------------------------------------------------- YOLOX, whose boxes belong to the cells of grids
 
 
@@ -145,6 +164,7 @@ class Yolox(ScoredFamily):
     is_bgr = True
     white = 255.0
     _decodes: ClassVar[bool] = False
+    _boxes: ClassVar[int] = 1  # of every cell
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
@@ -153,7 +173,7 @@ class Yolox(ScoredFamily):
             return False
         if file.labels is not None and shape[2] != 5 + len(file.labels):
             return False
-        return file.size_px is None or shape[1] is None or _grid(*file.size_px, shape[1]) is not None
+        return file.size_px is None or shape[1] is None or _grid(*file.size_px, shape[1], cls._boxes) is not None
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
@@ -175,7 +195,9 @@ class Yolox(ScoredFamily):
     def decode(self, outputs: tuple[np.ndarray, ...], asked: Asked) -> Candidates:
         raw = outputs[0]
         label_count = len(self.file.labels or ())
-        grid = _grid(*asked.size_px, len(raw)) if raw.ndim == 2 and raw.shape[1] == 5 + label_count else None
+        grid = (
+            _grid(*asked.size_px, len(raw), self._boxes) if raw.ndim == 2 and raw.shape[1] == 5 + label_count else None
+        )
         if grid is None:
             raise self._came(0, raw, f"a row of 5 + {label_count} labels for every cell of {asked.size_px} px")
         score = raw[:, 5 + asked.classes] * raw[:, 4:5]
@@ -196,24 +218,53 @@ class YoloxDecoded(Yolox):
     _decodes = True
 
 
+class YoloV5(YoloxDecoded):
+    """YOLOv5 and YOLOv7 as their own repositories export them, with three boxes for every cell."""
+
+    name = "yolov5"
+    layout = "one output [batch, 3 x cells of all grids, 5 + classes] with boxes in pixels"
+    placement = ImagePlacement.CENTRED
+    is_bgr = False
+    white = 1.0
+    _boxes = 3
+
+    @classmethod
+    def evidence(cls, file: NetworkFile) -> str | None:
+        shape = single_output_shape(file)
+        assert shape is not None
+        if file.is_end_to_end or (file.labels is None and shape[2] != 85):
+            return None
+        size_px, rows = (file.size_px, np.empty(shape[1])) if file.size_px and shape[1] else _on_grey(file)
+        if _grid(*size_px, len(rows), cls._boxes) is None:
+            return None
+        return (
+            f"{shape[2]} numbers for every one of 3 boxes a cell: a box, objectness and {(shape[2] or 0) - 5} classes"
+        )
+
+
 @functools.lru_cache(maxsize=16)
-def _grid(rows_px: int, columns_px: int, count: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Column and row of every cell of YOLOX's grids [cell, 2] and their strides [px]; None: not so many cells."""
+def _grid(rows_px: int, columns_px: int, count: int, boxes: int = 1) -> tuple[np.ndarray, np.ndarray] | None:
+    """Column and row of every cell of YOLO's grids [cell, 2] and their strides [px]; None: not so many boxes."""
     for strides in ((8, 16, 32), (8, 16, 32, 64)):
         shapes = [(rows_px // stride, columns_px // stride) for stride in strides]
-        if sum(rows * columns for rows, columns in shapes) == count:
+        if boxes * sum(rows * columns for rows, columns in shapes) == count:
             cells = [np.indices(shape).reshape(2, -1)[::-1].T for shape in shapes]
             stride_px = [np.full(len(cell), stride) for cell, stride in zip(cells, strides, strict=True)]
             return np.concatenate(cells).astype(np.float32), np.concatenate(stride_px).astype(np.float32)
     return None
 
 
-def _gives_pixels(file: NetworkFile) -> bool | None:
-    """Whether box centres follow the cells on a grey image, or are offsets; None: not as many boxes as cells."""
+def _on_grey(file: NetworkFile) -> tuple[tuple[int, int], np.ndarray]:
+    """Rows and columns of a grey image, and what the network makes of it."""
     assert file.image is not None
     size_px = file.size_px or (256, 256)
     grey = np.full((file.image.shape[0] or 1, 3, *size_px), GREY, file.image.dtype)
-    centre = file.run({file.image.name: grey})[0][0]
+    return size_px, file.run({file.image.name: grey})[0][0]
+
+
+def _gives_pixels(file: NetworkFile) -> bool | None:
+    """Whether box centres follow the cells on a grey image, or are offsets; None: not as many boxes as cells."""
+    size_px, centre = _on_grey(file)
     grid = _grid(*size_px, len(centre))
     if grid is None:
         return None

@@ -34,10 +34,11 @@ from warpav.rig.formats._format import (
     optics_of,
     read_yaml_record,
     rigid_transform,
+    unread_note,
 )
 
-READ_PX, WRITE_PX = 0.25, 0.01
-"""How far a lens that is read, or written, by a fit may be off anywhere in the image [px]."""
+WRITE_PX = 0.01
+"""How far a lens that is written by a fit may be off anywhere in the image [px]."""
 
 _SHUTTERS = (
     "GLOBAL",
@@ -68,7 +69,7 @@ def _read(path: Path) -> Found:
     if not rows:
         raise entries.error("at least one camera", "an empty list")
     notes: list[str] = []
-    cameras = []
+    cameras, unread = [], []
     for row in rows:
         row.mapping("a camera with logical_id, rig_to_camera, intrinsics and resolution_hw")
         name = row.at("logical_id").text()
@@ -76,7 +77,9 @@ def _read(path: Path) -> Found:
         if shutter.value is not None and shutter.one_of(_SHUTTERS) != "GLOBAL":
             notes.append(f"camera {name!r}: shutter {shutter.value} is not read, warpav's images are of one moment")
         cameras.append(FoundCamera(name, _rig_from_camera(row.at("rig_to_camera")), _optics(row, name, notes)))
-    return Found(tuple(cameras), tuple(notes))
+        # which of the two polynomials counts is stated
+        unread += row.unread("pixeldist_to_angle", "angle_to_pixeldist")
+    return Found(tuple(cameras), (*notes, *unread_note(path, unread)))
 
 
 def _rig_from_camera(record: Record) -> np.ndarray:
@@ -148,15 +151,13 @@ def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
         odd, off_px = _fitted_fisheye(angle, radius_px)
     off_px = off_px * max(1.0, c) + max(abs(d), abs(e)) * float(radius_px[-1])
     shape = _grown_fisheye(odd, float(angle[-1]))
-    if shape is None or off_px >= READ_PX:
-        raise values.error(
-            f"f-theta that a fisheye with four coefficients comes within {READ_PX:g} px of",
-            "another" if shape is None else f"one that it is off by {off_px:.2g} px",
-        )
+    if shape is None:
+        raise values.error("f-theta that a fisheye with four coefficients comes near to", "another")
     if off_px:
         notes.append(f"camera {name!r}: f-theta is read as a fisheye, which is off by at most {off_px:.2g} px")
     focal_px = (c * float(odd[0]), float(odd[0]))
-    optics = Optics(*size, focal_px=focal_px, centre_px=unit.centre_px, lens=Lens.FISHEYE, distortion=shape.distortion)
+    lens = {"lens": Lens.FISHEYE, "distortion": shape.distortion, "off_px": off_px}
+    optics = Optics(*size, focal_px=focal_px, centre_px=unit.centre_px, **lens)
     _check_max_angle(values, optics, name, notes)
     return optics
 

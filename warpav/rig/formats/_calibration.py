@@ -29,12 +29,14 @@ from warpav.rig.formats._format import (
     PlacedCamera,
     Record,
     RigFormat,
+    brown_conrady,
     camera_matrix,
     is_number,
     optics_of,
     optics_of_matrix,
     read_yaml_record,
     rigid_transform,
+    unread_note,
 )
 
 # ----------------------------------------------------------------------------------------------------------- OpenCV
@@ -43,8 +45,13 @@ _SUFFIXES = (".yaml", ".yml", ".xml", ".json")
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
 _SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"))
-_POSE = ("camera_from_ego", "R", "T", "rvec", "tvec")
-_KEYS = ("camera_name", "fisheye_model", *_MATRIX, *_COEFFICIENTS, *_SIZE[0], *_SIZE[1], *_POSE)
+_OTHERS = (
+    *("calibration_time", "calibrationDate", "nframes", "nr_of_frames", "framesCount", "board_width"),
+    *("board_height", "square_size", "aspectRatio", "flags", "flagValue", "fix_K1", "fix_K2", "fix_K3", "fix_K4"),
+    *("fix_K5", "extrinsic_parameters", "image_points", "grid_points", "avg_reprojection_error"),
+    *("per_view_reprojection_errors", "reprojection_error"),
+)
+"""What calibration tools write of how they calibrated."""
 _KIND = "an OpenCV FileStorage file"
 _TAG = re.compile(r"!!opencv-[a-z-]+")
 
@@ -56,21 +63,19 @@ def _read_opencv(path: Path) -> Found:
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
         if not files:
             raise InputError(f"{path}: expected OpenCV's files (*.yaml, *.yml, *.xml), got none in this folder")
-    return Found(tuple(map(_camera, files)))
+    records = list(map(_record, files))
+    cameras = tuple(_camera(record, file.stem) for record, file in zip(records, files, strict=True))
+    return Found(cameras, unread_note(path, (key for record in records for key in record.unread(*_OTHERS))))
 
 
-def _camera(file: Path) -> FoundCamera:
-    record = _record(file)
+def _camera(record: Record, stem: str) -> FoundCamera:
     matrix, coefficients = record.first_of(*_MATRIX), record.first_of(*_COEFFICIENTS)
     is_fisheye = record.at("fisheye_model").whole(0) != 0
     distortion: list[float] = []
     if is_fisheye:
         distortion = coefficients.numbers(4)
     elif coefficients.value is not None:
-        distortion = coefficients.numbers(4, 5, 8, 12, 14)
-        if any(distortion[8:]):
-            raise coefficients.error("at most 8 coefficients that are not 0; warpav has no thin prism or tilted sensor")
-        distortion = distortion[:8]
+        distortion = brown_conrady(coefficients, 4, 5, 8, 12, 14)
     width, height = (record.first_of(*names) for names in _SIZE)
     optics = optics_of_matrix(
         matrix,
@@ -79,7 +84,7 @@ def _camera(file: Path) -> FoundCamera:
         width_px=None if width.value is None else width.whole(),
         height_px=None if height.value is None else height.whole(),
     )
-    return FoundCamera(record.at("camera_name").text(file.stem), np.linalg.inv(_camera_from_ego(record)), optics)
+    return FoundCamera(record.at("camera_name").text(stem), np.linalg.inv(_camera_from_ego(record)), optics)
 
 
 def _camera_from_ego(record: Record) -> np.ndarray:
@@ -106,15 +111,14 @@ def _record(file: Path) -> Record:
     elif begun.startswith("{"):
         data = parse_json(text, str(file), _KIND)
     elif begun.startswith("%YAML"):
-        # its first line and its tags are no YAML
-        data, lines = read_yaml(_TAG.sub("", text.replace(text.splitlines()[0], "", 1)), str(file))
+        data, lines = read_yaml(_TAG.sub("", text), str(file))  # its tags are no YAML
     else:
         raise InputError(
             f"{file}: expected {_KIND}, which begins with %YAML:1.0, got: {' '.join(text[:60].split()) or 'nothing'}"
         )
     if not isinstance(data, dict):
         raise InputError(f"{file}: expected {_KIND} with camera_matrix, got no mapping")
-    return Record(file, {key: _value(data.get(key)) for key in _KEYS}, (), lines)
+    return Record(file, {key: _value(value) for key, value in data.items()}, (), lines)
 
 
 def _of_element(element: ElementTree.Element) -> Any:  # noqa: ANN401
@@ -169,7 +173,9 @@ _DISTORTION = {
     "radtan": (Lens.BROWN_CONRADY, 4),
     "equidistant": (Lens.FISHEYE, 4),
 }
-_UNIFIED = {"eucm": Lens.EUCM, "ds": Lens.DOUBLE_SPHERE}
+_UNIFIED = {"eucm": Lens.EUCM, "ds": Lens.DOUBLE_SPHERE, "omni": Lens.EUCM}
+_UNPLACED = ("rostopic", "cam_overlaps", "timeshift_cam_imu")
+"""Keys that say nothing of places and lenses."""
 _CHAINED = re.compile(r"cam(\d+)")
 
 
@@ -180,14 +186,15 @@ def _read_kalibr(path: Path) -> Found:
     numbers = sorted(int(match[1]) for key in entries if (match := _CHAINED.fullmatch(key)))
     if not numbers or numbers != list(range(len(numbers))):
         raise InputError(f"{path}: expected cam0, cam1, ... without gaps, got {', '.join(entries) or 'nothing'}")
-    has_imu = record.at("cam0").at("T_cam_imu").value is not None
+    has_imu = _camera_from_imu(record.at("cam0")) is not None
     cameras = []
     camera_from_body = np.eye(4)
     camera_from_body[:3, :3] = FLU_FROM_RDF.T
     for i in numbers:
         entry = record.at(f"cam{i}")
-        if entry.at("T_cam_imu").value is not None and has_imu:
-            camera_from_body = entry.at("T_cam_imu").transform()
+        camera_from_imu = _camera_from_imu(entry)
+        if camera_from_imu is not None and has_imu:
+            camera_from_body = camera_from_imu
         elif i > 0:
             camera_from_body = entry.at("T_cn_cnm1").transform() @ camera_from_body
         cameras.append(FoundCamera(f"cam{i}", np.linalg.inv(camera_from_body), _optics(entry)))
@@ -196,21 +203,41 @@ def _read_kalibr(path: Path) -> Found:
         if has_imu
         else "poses are relative to cam0, which is assumed to point forward"
     )
-    return Found(tuple(cameras), (f"{note}; `origin_rpy_deg` turns them",))
+    return Found(
+        tuple(cameras), (f"{note}; `origin_rpy_deg` turns them", *unread_note(path, record.unread(*_UNPLACED)))
+    )
+
+
+def _camera_from_imu(entry: Record) -> np.ndarray | None:
+    """The transform as Kalibr writes it, or its inverse as OpenVINS does; None where there is neither."""
+    if entry.at("T_cam_imu").value is not None:
+        return entry.at("T_cam_imu").transform()
+    inverse = entry.at("T_imu_cam")
+    return None if inverse.value is None else np.linalg.inv(inverse.transform())
 
 
 def _optics(entry: Record) -> Optics:
     model, distortion = entry.at("camera_model"), entry.at("distortion_model")
     model.one_of(("pinhole", *_UNIFIED))
     known = _DISTORTION if model.value == "pinhole" else {"none": (_UNIFIED[model.value], 0)}
+    if model.value == "omni" and distortion.value != "none":
+        raise distortion.error("none beside omni, which is read as eucm then; calibrate as pinhole-equi, eucm or ds")
     lens, count = known[distortion.one_of(known)]
+    given = entry.at("distortion_coeffs")
+    if not count and given.value is not None and any(given.numbers()):
+        raise given.error("none beside distortion_model none")
     size = entry.at("resolution")
     sides = [each.whole() for each in size.items("[width, height]")]
     if len(sides) != 2:
         raise size.error("[width, height]")
     values = entry.at("intrinsics")
-    *own, fx, fy, cx, cy = values.numbers(4 if model.value == "pinhole" else 6)
-    coefficients = entry.at("distortion_coeffs").numbers(count) if count else own
+    *own, fx, fy, cx, cy = values.numbers({"pinhole": 4, "omni": 5}.get(str(model.value), 6))
+    if model.value == "omni":  # is the eucm with beta = 1
+        if own[0] < 0.0:
+            raise values.error("xi of at least 0")
+        growth = 1.0 + own[0]
+        own, fx, fy = [own[0] / growth, 1.0], fx / growth, fy / growth
+    coefficients = given.numbers(count) if count else own
     return optics_of(values, fx, fy, cx, cy, lens=lens, distortion=coefficients, width_px=sides[0], height_px=sides[1])
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,19 @@ from warpav.rig.formats._format import (
     pinhole_of,
     read_json_record,
     transform_of_link,
+    unread_note,
 )
 
 _CAMERA = "sensor.camera.rgb"
+_NUMBER = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
 _ANY_CAMERA = "sensor.camera."
 _ORIGIN = "the vehicle actor's, which CARLA puts near the centre of the vehicle"
+_PICTURE = (
+    *("gamma", "iso", "fstop", "shutter_speed", "exposure_mode", "exposure_compensation", "sensor_tick"),
+    *("enable_postprocess_effects", "role_name", "bloom_intensity", "lens_flare_intensity"),
+    *("motion_blur_intensity", "temp", "tint", "noise_seed", "attached_objects"),
+)
+"""Attributes of a sensor that change how its images look and come, not what they show."""
 _DEFAULTS = (800, 600, 90.0)  # of the blueprint sensor.camera.rgb
 
 
@@ -71,6 +80,8 @@ def _read_python(path: Path) -> Found:
             "a list of sensors", "objects, which is the ros-bridge's dialect: `format_name` carla-ros-bridge"
         )
     sensors = data.at("sensors") if isinstance(data.value, dict) else data
+    if isinstance(sensors.value, list):
+        sensors = Record(path, [_with_numbers(each) for each in sensors.value])
     return _found(path, sensors.items("a list of sensors"), _python_camera)
 
 
@@ -84,7 +95,30 @@ def _literal(file: Path) -> Any:  # noqa: ANN401
         try:
             return ast.literal_eval(text.strip())
         except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
+            pass
+        try:  # of an agent's module what its method gives
+            found = [ast.literal_eval(node) for each in ast.walk(ast.parse(text)) for node in _lists_given(each)]
+        except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
+            found = []
+        found = [each for each in found if any(isinstance(sensor, dict) for sensor in each)]
+        if len(found) != 1:
             raise error from None
+        return found[0]
+
+
+def _lists_given(node: ast.AST) -> list[ast.List]:
+    value = node.value if isinstance(node, (ast.Return, ast.Assign)) else None
+    return [value] if isinstance(value, ast.List) else []
+
+
+def _with_numbers(sensor: object) -> object:
+    """A sensor whose numbers are numbers, which agents write as texts as well."""
+    if not isinstance(sensor, dict):
+        return sensor
+    is_text = {
+        key: isinstance(value, str) and _NUMBER.fullmatch(value) and key != "id" for key, value in sensor.items()
+    }
+    return {key: float(value) if is_text[key] else value for key, value in sensor.items()}
 
 
 def _python_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
@@ -100,19 +134,20 @@ def _python_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
 
 
 def _found(path: Path, sensors: Sequence[Record], camera_of: Any) -> Found:  # noqa: ANN401
-    cameras, defaulted, others = [], [], set()
+    cameras, defaulted, others, unread = [], [], set(), []
     for sensor in sensors:
         if not _is_camera(sensor):
-            kind = sensor.at("type").value
+            kind = sensor.peek("type").value
             others |= {kind} if isinstance(kind, str) and kind.startswith(_ANY_CAMERA) else set()
             continue
         name = sensor.at("id").text(f"camera_{len(cameras)}")
         transform, optics, is_defaulted = camera_of(sensor)
         defaulted += [name] if is_defaulted else []
+        unread += sensor.unread("type", *_PICTURE)
         cameras.append(FoundCamera(name, transform, optics))
     if not cameras:
         raise InputError(f"{path}: expected sensors of type {_CAMERA}, got none")
-    notes = []
+    notes = [*unread_note(path, unread)]
     if others:
         notes.append(f"only {_CAMERA} is read, not {', '.join(sorted(others))}")
     if defaulted:
@@ -122,7 +157,7 @@ def _found(path: Path, sensors: Sequence[Record], camera_of: Any) -> Found:  # n
 
 
 def _is_camera(sensor: Record) -> bool:
-    return sensor.at("type").value == _CAMERA
+    return sensor.peek("type").value == _CAMERA
 
 
 def _optics(sensor: Record, width_key: str, height_key: str) -> tuple[Optics, bool]:

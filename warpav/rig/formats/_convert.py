@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import logging
 import math
 import re
 from dataclasses import dataclass
@@ -21,10 +22,10 @@ from warpav.core.files import atomic_write, writing
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.core.records import nearest
 from warpav.raster.camera import CameraModel
-from warpav.rig._check import FAR_M, mirrored_cameras
+from warpav.rig._check import FAR_M, folded_lenses, mirrored_cameras
 from warpav.rig._rig import Rig, RigCamera
 from warpav.rig.formats import IMPORTED_ONLY, RIG_FORMATS
-from warpav.rig.formats._format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
+from warpav.rig.formats._format import READ_PX, FoundCamera, Losses, Optics, PlacedCamera, RigFormat
 from warpav.rig.formats._ros import FOLDER, read_camera_infos
 
 _OTHER_NAMES = {
@@ -34,6 +35,8 @@ _OTHER_NAMES = {
     "carla-leaderboard": "carla-python",
     "kitti-object": "kitti",
 }
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+_logger = logging.getLogger(__name__)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
@@ -49,6 +52,8 @@ class ImportOptions:
     intrinsics: Path | None = None
     part: str | None = None
     accept_mirrored: bool = False
+    mirror_y: bool = False
+    approximate: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,8 @@ def import_rig(
     intrinsics: str | Path | None = None,
     part: str | None = None,
     accept_mirrored: bool = False,
+    mirror_y: bool = False,
+    approximate: bool = False,
 ) -> Rig:
     """The rig in another tool's file, in the ego frame.
 
@@ -103,6 +110,10 @@ def import_rig(
         intrinsics: camera_info YAML, or a folder of such: it replaces the file's values of those cameras.
         part: Which of several rigs in the file.
         accept_mirrored: Accept cameras whose name contradicts their side or direction.
+        mirror_y: The file's y points to the right, and its angles about x and z are turned the other way round.
+        approximate: Take a lens that warpav's nearest one is off by more than a quarter of a pixel.
+
+    What of a file is not read is logged as a warning.
 
     Raises:
         InputError: The file cannot be used.
@@ -116,8 +127,13 @@ def import_rig(
         None if intrinsics is None else Path(intrinsics),
         part,
         accept_mirrored,
+        mirror_y,
+        approximate,
     )
-    return import_rig_with_notes(path, format_name, options)[0]
+    rig, notes = import_rig_with_notes(path, format_name, options)
+    for note in notes[1:]:
+        _logger.warning("%s", note)
+    return rig
 
 
 def import_rig_with_notes(
@@ -138,11 +154,13 @@ def import_rig_with_notes(
         raise ArgumentError("part", f"{form.name} files hold one rig, got {options.part!r}; leave it out")
     ego_from_file = _placement(options.origin_m, options.origin_rpy_deg)
     found = form.found(file, options.part)
-    lenses = _lenses(file, options)
+    lenses, lens_notes = _lenses(file, options)
     models = [_model(camera, lenses, options, file) for camera in found.cameras]
+    # of a mirrored camera the image's x turns round as well
+    before, behind = (_MIRROR, np.diag([-1.0, 1.0, 1.0, 1.0])) if options.mirror_y else (np.eye(4), np.eye(4))
     try:
         rig = Rig(
-            RigCamera.at(_fit_name(camera.name), ego_from_file @ camera.file_from_camera, model)
+            RigCamera.at(_fit_name(camera.name), ego_from_file @ before @ camera.file_from_camera @ behind, model)
             for camera, model in zip(found.cameras, models, strict=True)
         )
     except InputError as error:
@@ -158,9 +176,12 @@ def import_rig_with_notes(
     mirrored = [] if options.accept_mirrored else list(mirrored_cameras(cameras))
     if mirrored:
         more = f" ({len(mirrored)} cameras like this)" if len(mirrored) > 1 else ""
-        raise InputError(f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} `accept_mirrored` takes it as it is")
+        raise InputError(
+            f"{file}: {mirrored[0]}{more}; {form.mirrored_hint} `mirror_y` turns it round, "
+            "`accept_mirrored` takes it as it is"
+        )
     count = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}"
-    notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes]
+    notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes, *lens_notes, *folded_lenses(cameras)]
     renamed = [camera.name for camera in found.cameras if camera.name != _fit_name(camera.name)]
     if renamed:
         notes.append(f"names keep letters, digits, '_', '-' and '.': {renamed[0]!r} becomes {_fit_name(renamed[0])!r}")
@@ -276,19 +297,19 @@ def _origin_notes(form: RigFormat, origin_m: tuple[float, float, float] | None) 
     ]
 
 
-def _lenses(file: Path, options: ImportOptions) -> dict[str, Optics]:
-    """The optics that come from camera_info files, by name of the camera."""
+def _lenses(file: Path, options: ImportOptions) -> tuple[dict[str, Optics], list[str]]:
+    """The optics that come from camera_info files, by name of the camera, and what is not read of them."""
     beside = (file if file.is_dir() else file.parent) / FOLDER
     path = options.intrinsics or (beside if beside.is_dir() else None)
     if path is None:
-        return {}
-    return {_key(name): optics for name, optics in read_camera_infos(path.expanduser()).items()}
+        return {}, []
+    found, notes = read_camera_infos(path.expanduser())
+    return {_key(name): optics for name, optics in found.items()}, notes
 
 
 def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOptions, file: Path) -> CameraModel:
     location = f"{file}: camera {camera.name!r}"
-    beside = lenses.get(_key(camera.name))
-    optics = beside if camera.optics is None or (beside and options.intrinsics) else camera.optics
+    optics = lenses.get(_key(camera.name)) or camera.optics
     if optics is None:
         if None in (options.width_px, options.height_px, options.fov_deg):
             raise InputError(
@@ -305,6 +326,11 @@ def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOption
                 f"{location}: expected the image's size, which the file does not hold; give `width_px` and `height_px`"
             )
         optics = dataclasses.replace(optics, width_px=options.width_px, height_px=options.height_px)
+    if optics.off_px >= READ_PX and not options.approximate:
+        raise InputError(
+            f"{location}: expected a lens that one of warpav's comes within {READ_PX:g} px of, got one that it is off "
+            f"by {optics.off_px:.2g} px; `approximate` takes it"
+        )
     return optics.model(location)
 
 

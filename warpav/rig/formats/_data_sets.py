@@ -26,6 +26,7 @@ import numpy as np
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, feather_library, read_arrow, read_text, refuse_levels
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
+from warpav.raster.lens import Lens
 from warpav.rig.formats._format import (
     Found,
     FoundCamera,
@@ -33,12 +34,14 @@ from warpav.rig.formats._format import (
     PlacedCamera,
     Record,
     RigFormat,
+    brown_conrady,
     camera_matrix,
     optics_of,
     optics_of_matrix,
     pinhole_of,
     read_json_record,
     rigid_transform,
+    unread_note,
 )
 
 # --------------------------------------------------------------------------------------------------------- nuScenes
@@ -50,10 +53,10 @@ _BETWEEN = re.compile(r"[\s,]*")
 
 def _read_nuscenes(file: Path, part: str | None) -> Found:
     """The cameras of a calibrated_sensor table, or of one scene of the data set (``part``)."""
-    rows = [row for row in _rows(file) if row.at("camera_intrinsic").value != []]
+    rows = [row for row in _rows(file) if row.peek("camera_intrinsic").value != []]
     if part is not None:
         used = _tokens_of_scene(file.parent, part)
-        rows = [row for row in rows if row.at("token").text() in used]
+        rows = [row for row in rows if row.peek("token").text() in used]
     if not rows:
         raise InputError(f"{file}: expected rows with a camera_intrinsic, got none" + (f" of {part}" if part else ""))
     name_of = _names(file.parent)
@@ -72,10 +75,26 @@ def _read_nuscenes(file: Path, part: str | None) -> Found:
             rotation.unit_quaternion(rotation.numbers(4)), row.at("translation").numbers(3), rotation
         )
         width_px, height_px = size_of.get(row.at("token").text(""), (None, None))
-        optics = optics_of_matrix(row.at("camera_intrinsic"), width_px=width_px, height_px=height_px)
+        bent = row.at("camera_distortion")  # of nuImages and T4
+        optics = optics_of_matrix(
+            row.at("camera_intrinsic"),
+            lens=Lens.BROWN_CONRADY,
+            distortion=_opencv_distortion(bent) if bent.value else (),
+            width_px=width_px,
+            height_px=height_px,
+        )
         cameras.append(FoundCamera(name, transform, optics))
     notes = () if name_of else ("there is no sensor.json beside the file, so cameras are numbered",)
-    return Found(tuple(cameras), notes)
+    return Found(tuple(cameras), (*notes, *unread_note(file, (key for row in rows for key in row.unread()))))
+
+
+def _opencv_distortion(record: Record) -> list[float]:
+    """Of nuImages the sixth number, the next power of the radius, is that of its rear camera alone."""
+    if len(record.numbers(4, 5, 6, 8)) == 6:
+        if record.numbers()[5]:
+            raise record.error("k1 k2 p1 p2 k3, as OpenCV has them; a sixth number that is not 0 is no lens of warpav")
+        return record.numbers()[:5]
+    return brown_conrady(record)
 
 
 def _rows(file: Path) -> list[Record]:
@@ -207,12 +226,13 @@ def _read_argoverse2(path: Path) -> Found:
     if path.is_dir() and (path / "calibration").is_dir():
         folder = path / "calibration"
     lenses = {row.at("sensor_name").text(): row for row in _feather_rows(folder / _INTRINSICS)}
-    cameras = []
+    cameras, unread = [], []
     is_distorted = False
     for row in _feather_rows(folder / _POSES):
-        name = row.at("sensor_name").text()
+        name = row.peek("sensor_name").text()
         if name not in lenses:
             continue  # a lidar
+        row.at("sensor_name")
         quaternion = [row.at(column).number() for column in _QUATERNION]
         transform = rigid_transform(
             row.unit_quaternion(quaternion), [row.at(column).number() for column in _POSITION], row
@@ -222,12 +242,13 @@ def _read_argoverse2(path: Path) -> Found:
         at = Record(f"{lens.location}: {', '.join(_CAMERA)}", intrinsics_px)
         width_px, height_px = (lens.at(name).whole() for name in ("width_px", "height_px"))
         optics = optics_of(at, *intrinsics_px, width_px=width_px, height_px=height_px)
-        is_distorted |= any(lens.at(column).number(0.0) for column in _DISTORTION)
+        is_distorted |= any(lens.peek(column).number(0.0) for column in _DISTORTION)
         cameras.append(FoundCamera(name, transform, optics))
+        unread += [*row.unread(), *lens.unread("sensor_name", *_DISTORTION)]
     if not cameras:
         raise InputError(f"{folder / _POSES}: expected a sensor that {_INTRINSICS} names, got none")
     note = "k1, k2, k3 are not read: Argoverse 2 publishes undistorted images, they belong to the lens before that"
-    return Found(tuple(cameras), (note,) if is_distorted else ())
+    return Found(tuple(cameras), (*((note,) if is_distorted else ()), *unread_note(folder, unread)))
 
 
 def _feather_rows(file: Path) -> list[Record]:
@@ -263,29 +284,40 @@ def _write_argoverse2(cameras: Sequence[PlacedCamera], target: Path, losses: Los
 # ------------------------------------------------------------------------------------------------------------ KITTI
 
 _COUNT = 4
+_RAW, _RAW_LIDAR = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
+_KITTI_LINE = re.compile(r"\s*([^\s:]+)(?::|\s+(?=[-+.\d]))(.*)")  # tracking leaves colons out
+_UNPLACED = (
+    *("Tr_imu_to_velo", "Tr_imu_velo", "calib_time", "corner_dist"),
+    *(f"{key}_0{i}" for key in ("S", "K", "D", "R", "T", "R_rect") for i in range(_COUNT)),  # before rectification
+)
+"""Keys that say nothing of the rectified cameras."""
 
 
 def _read_kitti(path: Path) -> Found:
     """The cameras of one calibration file, or of a folder with one file per camera."""
+    path = path / _RAW if (path / _RAW).is_file() else path
+    notes: list[str] = []
     if not path.is_dir():
-        return Found(tuple(_kitti_cameras(path)))
+        return Found(tuple(_kitti_cameras(path, notes)), tuple(notes))
     files = sorted(path.glob("*.txt"))
     if not files:
         raise InputError(f"{path}: expected KITTI calibration files (*.txt), got none in this folder")
     cameras = []
     for file in files:
-        found = _kitti_cameras(file)
+        found = _kitti_cameras(file, notes)
         if len(found) > 1:
             raise InputError(
                 f"{file}: expected one camera per file in a folder (P0 to P3 equal), got {len(found)}; name this file "
                 "instead of its folder to read the cameras in it"
             )
         cameras += found
-    return Found(tuple(cameras))
+    return Found(tuple(cameras), tuple(notes))
 
 
-def _kitti_cameras(file: Path) -> list[FoundCamera]:
+def _kitti_cameras(file: Path, notes: list[str]) -> list[FoundCamera]:
     record = _kitti_record(file)
+    if record.peek("R_rect_00").value is not None:
+        record = _kitti_of_raw(file, record)
     rectified = record.first_of("Tr_velo_to_cam", "Tr_velo_cam", "Tr").transform(3)
     turn = record.first_of("R0_rect", "R_rect")
     rotation = np.eye(3)
@@ -294,13 +326,12 @@ def _kitti_cameras(file: Path) -> list[FoundCamera]:
     rectified[:3] = rotation @ rectified[:3]
     found: dict[tuple, FoundCamera] = {}
     for i in range(_COUNT):
-        projection = record.at(f"P{i}")
+        projection, size = record.at(f"P{i}"), record.at(f"S_rect_0{i}")
         if projection.value is None and i != 2:
             continue
         matrix = np.array(projection.matrix(3, 4))
         if not matrix.any():
             continue  # a camera that is not there
-        size = record.at(f"S_rect_0{i}")
         width_px, height_px = (None, None) if size.value is None else map(int, size.numbers(2))
         calibration = Record(projection.location, matrix[:, :3].tolist())
         optics = optics_of_matrix(calibration, width_px=width_px, height_px=height_px)
@@ -308,6 +339,7 @@ def _kitti_cameras(file: Path) -> list[FoundCamera]:
         camera_from_velodyne[:3, 3] += np.linalg.solve(matrix[:, :3], matrix[:, 3])  # the baseline
         key = (*matrix.flat, width_px, height_px)
         found.setdefault(key, FoundCamera(f"image_{i}", np.linalg.inv(camera_from_velodyne), optics))
+    notes += unread_note(file, record.unread(*_UNPLACED))
     if not found:
         raise InputError(f"{file}: P2: expected a camera's 3 x 4 projection matrix, got none")
     if len(found) == 1:
@@ -316,18 +348,32 @@ def _kitti_cameras(file: Path) -> list[FoundCamera]:
     return list(found.values())
 
 
+def _kitti_of_raw(file: Path, record: Record) -> Record:
+    """The two files of the raw data, by the keys of the object data; cameras are the rectified ones."""
+    lidar = file.with_name(_RAW_LIDAR)
+    if not lidar.is_file():
+        raise InputError(f"{file}: expected {_RAW_LIDAR} beside it, where the lidar is, got no such file")
+    of = _kitti_record(lidar)
+    turn = of.at("R")
+    placed = rigid_transform(np.array(turn.matrix(3, 3)), of.at("T").numbers(3), turn)
+    data = {key.replace("P_rect_0", "P"): each.value for key, each in record.mapping().items()}
+    data |= {"R0_rect": data.pop("R_rect_00"), "Tr_velo_to_cam": placed[:3].ravel().tolist()}
+    return Record(file, data)
+
+
 def _kitti_record(file: Path) -> Record:
     numbers: dict[str, list] = {}
     for n, line in enumerate(read_text(file, "a KITTI calibration file").splitlines(), 1):
-        key, colon, rest = line.partition(":")
+        found = _KITTI_LINE.fullmatch(line)
         if not line.strip():
             continue
-        if not colon:
+        if not found:
             raise InputError(f"{file}:{n}: expected KEY: NUMBERS, got {line.strip()[:40]!r}")
+        key, rest = found.groups()
         try:
-            numbers[key.strip()] = [float(word) for word in rest.split()]
+            numbers[key] = [float(word) for word in rest.split()]
         except ValueError:
-            numbers[key.strip()] = rest.split()  # validated on use; this may be a date
+            numbers[key] = rest.split()  # validated on use; this may be a date
     return Record(file, numbers)
 
 

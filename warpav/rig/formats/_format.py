@@ -7,7 +7,7 @@ the image's corner. `_PIXEL_CENTRE_PX` is the difference, and is added and taken
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -22,8 +22,8 @@ from warpav.core.frames import (
     rotation_from_yaw_pitch_roll,
     yaw_pitch_roll_from_rotation,
 )
-from warpav.core.records import nearest, place_of
-from warpav.core.yaml_file import Location, read_yaml
+from warpav.core.records import nearest, place_of, unread_text
+from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens
 
@@ -31,7 +31,7 @@ _ROTATION_TOLERANCE = 1e-3  # files round to four decimals
 
 
 class Record:
-    """A value, and where it stands."""
+    """A value, and where it stands; it remembers which keys below it were asked for, so `unread` names the others."""
 
     def __init__(
         self,
@@ -39,12 +39,14 @@ class Record:
         value: Any,  # noqa: ANN401
         location: Location = (),
         line_of: Mapping[Location, int] | None = None,
+        asked: set[Location] | None = None,
     ) -> None:
         """The value at ``location`` of a file; ``line_of`` knows the lines of values, as `read_yaml` gives them."""
         self.value = value
         self._file = file
         self._location = location
         self._line_of = line_of or {}
+        self._asked: set[Location] = set() if asked is None else asked
 
     @property
     def location(self) -> str:
@@ -58,27 +60,48 @@ class Record:
         return InputError(f"{self.location}: expected {expected}, got {shown}")
 
     def at(self, key: str | int) -> Record:
-        """The value of a key or index; of None where there is none."""
+        """The value of a key or index, which counts as read; of None where there is none."""
+        found = self.peek(key)
+        self._asked.add(found._location)
+        return found
+
+    def peek(self, key: str | int) -> Record:
+        """The same, which does not count as read."""
         value = None
         if isinstance(self.value, dict):
             value = self.value.get(key)
         elif isinstance(self.value, list) and isinstance(key, int) and key < len(self.value):
             value = self.value[key]
-        return Record(self._file, value, (*self._location, str(key)), self._line_of)
+        return Record(self._file, value, (*self._location, str(key)), self._line_of, self._asked)
+
+    def unread(self, *harmless: str) -> Iterator[str]:
+        """The keys below that no reader asked for, but those that are harmless; without the numbers of lists."""
+        above = {location[:k] for location in self._asked for k in range(len(location) + 1)}
+        waiting: list[Record] = [self]
+        while waiting:
+            record = waiting.pop()
+            is_list = isinstance(record.value, list)
+            keys = range(len(record.value)) if is_list else record.value if isinstance(record.value, dict) else ()
+            for below in (record.peek(key) for key in keys if key not in harmless):
+                if below._location in above:
+                    waiting.append(below)
+                elif not is_list:
+                    yield dotted(tuple(part for part in below._location if not part.isdigit()))
 
     def first_of(self, *keys: str) -> Record:
         """The value of the first key that is there; of None, by the first key, where none is."""
         return self.at(next((key for key in keys if self.at(key).value is not None), keys[0]))
 
     def mapping(self, expected: str = "a mapping") -> dict[str, Record]:
+        """The values by key, none of which counts as read."""
         if not isinstance(self.value, dict):
             raise self.error(expected)
-        return {key: self.at(key) for key in self.value}
+        return {key: self.peek(key) for key in self.value}
 
     def items(self, expected: str = "a list") -> list[Record]:
         if not isinstance(self.value, list):
             raise self.error(expected)
-        return [self.at(i) for i in range(len(self.value))]
+        return [self.peek(i) for i in range(len(self.value))]
 
     def text(self, default: str | None = None) -> str:
         if self.value is None and default is not None:
@@ -142,6 +165,12 @@ class Record:
         return rotation_from_quaternion(np.array(quaternion))
 
 
+def unread_note(file: Path, keys: Iterable[str]) -> tuple[str, ...]:
+    """The note that names what of a file is not read; none where nothing is named."""
+    text = unread_text(keys)
+    return (f"{file}: {text}",) if text else ()
+
+
 def is_number(value: object) -> TypeGuard[int | float]:
     """Whether it is a finite number of a size that can mean something."""
     return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
@@ -173,6 +202,8 @@ def read_yaml_record(file: Path) -> Record:
     return Record(file, data, (), line_of)
 
 
+READ_PX = 0.25
+"""How far a lens that is read by a fit may be off anywhere in the image [px], unless the user takes more."""
 _PIXEL_CENTRE_PX = 0.5
 _SAME_PX = 1e-5  # rig files keep six decimals
 _SAME_EXACTLY = 1e-9
@@ -189,6 +220,7 @@ class Optics:
     centre_px: tuple[float, float] | None = None
     lens: Lens = Lens.PINHOLE
     distortion: tuple[float, ...] = ()
+    off_px: float = 0.0  # how far the lens is from that of the file, at most
 
     def model(self, location: str) -> CameraModel:
         """The camera model; square pixels around the middle are given by the field of view, as people write it."""
@@ -354,6 +386,14 @@ def optics_of_matrix(matrix: Record, **others: Any) -> Optics:  # noqa: ANN401
     if abs(skew) > 1e-6 * abs(fx) or zero != 0.0 or last != [0.0, 0.0, 1.0]:
         raise matrix.error("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
     return optics_of(matrix, fx, fy, cx, cy, **others)
+
+
+def brown_conrady(coefficients: Record, *counts: int) -> list[float]:
+    """Coefficients in OpenCV's order, as many as say something: 4, 5 or 8."""
+    numbers = coefficients.numbers(*counts)
+    if any(numbers[8:]):
+        raise coefficients.error("at most 8 coefficients that are not 0; warpav has no thin prism or tilted sensor")
+    return numbers[:8] if any(numbers[5:]) else numbers[:5]
 
 
 def optics_of(

@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -29,11 +29,13 @@ from warpav.rig.formats._format import (
     PlacedCamera,
     Record,
     RigFormat,
+    brown_conrady,
     camera_matrix,
     is_number,
     link_of_transform,
     optics_of_matrix,
     read_yaml_record,
+    unread_note,
 )
 
 # ------------------------------------------------------------------------------------------------------ camera_info
@@ -42,42 +44,68 @@ FOLDER = "camera_info"
 """Folder of these files in exports and imports."""
 
 _MODELS = {
-    "plumb_bob": (Lens.BROWN_CONRADY, (0, 4, 5)),
-    "rational_polynomial": (Lens.BROWN_CONRADY, (8,)),
+    "plumb_bob": (Lens.BROWN_CONRADY, (0, 4, 5, 8)),
+    "rational_polynomial": (Lens.BROWN_CONRADY, (8, 12, 14)),
     "equidistant": (Lens.FISHEYE, (4,)),
 }
+_RECTIFIED = ("rows", "cols", "header", "rectification_matrix", "projection_matrix", "R", "P", "r", "p")
+"""Keys of the rectified image and of the message; images are read as they come from the camera."""
 
 
-def read_camera_infos(path: Path) -> dict[str, Optics]:
-    """The optics in a camera_info file or in all those of a folder."""
+def read_camera_infos(path: Path) -> tuple[dict[str, Optics], list[str]]:
+    """The optics in a camera_info file or in all those of a folder, and what is not read of them."""
     files = [path]
     if path.is_dir():
         files = sorted(file for end in ("yaml", "yml") for file in (*path.glob(f"*.{end}"), *path.glob(f"*/*.{end}")))
         if not files:
             raise InputError(f"{path}: expected a folder with camera_info YAML files, got none in it")
     found: dict[str, Optics] = {}
+    notes: list[str] = []
     for file in files:
         record = read_yaml_record(file)
         optics = _optics_of_info(record)
         found[file.parent.name if file.stem == "camera_info" else file.stem] = optics
         if record.at("camera_name").value is not None:
             found.setdefault(record.at("camera_name").text(), optics)
-    return found
+        notes += unread_note(file, record.unread(*_RECTIFIED))
+    return found, notes
 
 
 def _optics_of_info(record: Record) -> Optics:
-    """The optics of a camera_info mapping."""
+    """The optics of a camera_info mapping: a calibration file, or the message of a ROS topic."""
     record.mapping("a camera_info mapping with image_width, image_height, camera_matrix and distortion_model")
     lens, counts = _MODELS[record.at("distortion_model").one_of(_MODELS)]
-    coefficients = record.at("distortion_coefficients").at("data")
-    distortion = coefficients.numbers(*counts) if coefficients.value is not None or 0 not in counts else []
-    return optics_of_matrix(
-        record.at("camera_matrix").at("data"),
-        lens=lens,
-        distortion=distortion,
-        width_px=record.at("image_width").whole(),
-        height_px=record.at("image_height").whole(),
+    matrix = record.first_of("camera_matrix", "k", "K")
+    is_message = isinstance(matrix.value, list)
+    if is_message:
+        coefficients, sides = record.first_of("d", "D"), ("width", "height")
+    else:
+        matrix, sides = matrix.at("data"), ("image_width", "image_height")
+        coefficients = record.at("distortion_coefficients").at("data")
+    distortion = []
+    if coefficients.value is not None or 0 not in counts:
+        distortion = coefficients.numbers(*counts) if lens is Lens.FISHEYE else brown_conrady(coefficients, *counts)
+    width_px, height_px = (record.at(side).whole() for side in sides)
+    optics = optics_of_matrix(matrix, lens=lens, distortion=distortion, width_px=width_px, height_px=height_px)
+    return _cut(record, optics) if is_message else optics
+
+
+def _cut(record: Record, optics: Optics) -> Optics:
+    """The optics of the image as it is sent: a region of the sensor's, in which pixels are joined (REP 104)."""
+    assert optics.focal_px is not None
+    assert optics.centre_px is not None
+    roi = record.at("roi")
+    if roi.at("do_rectify").value not in (None, False, 0):
+        raise roi.at("do_rectify").error("false; a rectified image has another camera matrix")
+    joined = [max(1, record.at(f"binning_{axis}").whole(0)) for axis in "xy"]
+    first = [roi.at(f"{axis}_offset").whole(0) for axis in "xy"]
+    whole = (optics.width_px or 0, optics.height_px or 0)
+    width_px, height_px = (
+        (roi.at(side).whole(0) or whole[k]) // joined[k] for k, side in enumerate(("width", "height"))
     )
+    fx, fy = (optics.focal_px[k] / joined[k] for k in (0, 1))
+    cx, cy = ((optics.centre_px[k] - first[k]) / joined[k] for k in (0, 1))
+    return replace(optics, width_px=width_px, height_px=height_px, focal_px=(fx, fy), centre_px=(cx, cy))
 
 
 def _camera_info(camera: PlacedCamera, losses: Losses) -> bytes:
@@ -117,6 +145,18 @@ _BASE = "base_link"
 _NAME_MAX = 200  # beyond which links are no cameras; the patterns below are quadratic in it
 _OPTICAL = re.compile(r"(.+?)[/_](?:camera_)?optical_(?:link|frame)")
 _LINK = re.compile(r"(.+?)[/_]camera_link|((?:.*[/_])?camera[^/]*?)_link")
+_NO_CAMERA = re.compile(
+    r"(?:^|[/_])(?:accel|accelerometer|gyro|gyroscope|imu|depth|infra|infrared|ir|tof|lidar)\d*(?=[/_]|$)"
+)
+_SENSORS_WITH_COLOUR = ("camera", "wideanglecamera", "rgbd_camera", "rgbd", "multicamera")
+_TAGS = {
+    "robot": {"link", "joint", "material", "gazebo", "transmission", "ros2_control"},
+    "joint": {
+        *("origin", "parent", "child", "axis", "limit", "dynamics", "calibration", "mimic", "safety_controller"),
+        "hardwareInterface",
+    },
+}
+"""What is known below an element; of a link nothing matters but its name."""
 
 
 @dataclass(frozen=True)
@@ -137,13 +177,19 @@ def _read_urdf(path: Path) -> Found:
         raise InputError(f"{path}: expected a plain URDF, got xacro; run: xacro {path.name} > rig.urdf")
     links = [link.get("name", "")[:_NAME_MAX] for link in root.findall("link")]
     joint_of = _joints(root, path)
+    sensors, others = _simulated(root, path)
     optical = {link: match[1] for link in links if (match := _OPTICAL.fullmatch(link))}
+    for link in optical:  # a simulator's camera hangs at the link before the optical one, and looks along its x
+        before = joint_of[link].parent if link in joint_of else link
+        sensors |= {link: sensors.pop(before)} if before in sensors else {}
+        others |= {link} if before in others else set()
     above = _above(optical, joint_of)
     plain = {
         link: match[1] or match[2]
         for link in links
         if link not in optical and link not in above and (match := _LINK.fullmatch(link))
     }
+    plain |= {link: re.sub(r"_(?:link|frame)$", "", link) for link in sensors if link in links and link not in optical}
     if not optical and not plain:
         raise InputError(
             f"{path}: expected links such as front/camera_optical_link or front/camera_link, got none among "
@@ -151,15 +197,56 @@ def _read_urdf(path: Path) -> Found:
         )
     base = _BASE if _BASE in links else next((link for link in links if link not in joint_of), links[0])
     tree = _Tree(base, joint_of, path)
+    name_of = {**optical, **plain}
+    others |= {link for link, name in name_of.items() if link not in sensors and _NO_CAMERA.search(name)}
+    if others >= name_of.keys():
+        others = set()
     cameras = []
     for link in links:
-        if link in optical or link in plain:
+        if link in name_of and link not in others:
             transform = tree.base_from(link)
             if link in plain:
                 transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
-            cameras.append(FoundCamera({**optical, **plain}[link], transform))
-    notes = () if base == _BASE else (f"there is no {_BASE}, so poses are relative to the root link {base}",)
-    return Found(tuple(cameras), notes)
+            cameras.append(FoundCamera(name_of[link], transform, sensors.get(link)))
+    notes = [] if base == _BASE else [f"there is no {_BASE}, so poses are relative to the root link {base}"]
+    if left := [link for link in links if link in others & name_of.keys()]:
+        notes.append(f"{', '.join(left)}: taken for no cameras, by their names or by <gazebo>")
+    strange = (f"<{below.tag}>" for above in (root, *root.findall("joint")) for below in above
+               if isinstance(below.tag, str) and below.tag not in _TAGS[above.tag])  # fmt: skip
+    return Found(tuple(cameras), (*notes, *unread_note(path, strange)))
+
+
+def _simulated(root: ElementTree.Element, path: Path) -> tuple[dict[str, Optics], set[str]]:
+    """The images of <gazebo>'s cameras by the link that carries them, and the links of its other sensors."""
+    cameras: dict[str, Optics] = {}
+    others: set[str] = set()
+    for holder in root.findall("gazebo"):
+        link = holder.get("reference", "")[:_NAME_MAX]
+        for sensor in holder.findall("sensor"):
+            if sensor.get("type") not in _SENSORS_WITH_COLOUR:
+                others.add(link)
+                continue
+            place = f"{path}: <gazebo reference={link!r}>"
+            pose = (sensor.findtext("pose") or "0").split()
+            if any(word.strip("+-0.") for word in pose):
+                raise InputError(f"{place}: pose: expected none beside that of the link, got {' '.join(pose)!r}")
+            bent = [each for each in sensor.findall("camera/distortion/*") if each.tag != "center"]
+            if any((each.text or "").strip("+-0. ") for each in bent) or sensor.find("camera/lens") is not None:
+                raise InputError(f"{place}: expected a camera without <distortion> and <lens>, got one")
+            keys = ("horizontal_fov", "image/width", "image/height")
+            fov_rad, width_px, height_px = (_number_below(sensor, f"camera/{key}", place) for key in keys)
+            if not 0.0 < fov_rad < math.pi:
+                raise InputError(f"{place}: horizontal_fov: expected an angle between 0 and pi, got {fov_rad:g}")
+            cameras[link] = Optics(int(width_px), int(height_px), fov_rad=fov_rad)
+    return cameras, others - cameras.keys()
+
+
+def _number_below(element: ElementTree.Element, key: str, place: str) -> float:
+    text = element.findtext(key) or ""
+    try:
+        return Record(f"{place}: {key}", float(text)).number()
+    except ValueError as error:
+        raise error if isinstance(error, InputError) else Record(f"{place}: {key}", text).error("a number") from None
 
 
 def _joints(root: ElementTree.Element, path: Path) -> dict[str, _Joint]:
@@ -184,6 +271,8 @@ def _joints(root: ElementTree.Element, path: Path) -> dict[str, _Joint]:
 
 
 def _triple(origin: ElementTree.Element, key: str, joint: str, path: Path) -> list[float]:
+    if strange := set(origin.keys()) - {"xyz", "rpy"}:
+        raise InputError(f"{path}: joint {joint!r}: origin: expected xyz and rpy, got {', '.join(sorted(strange))}")
     words = origin.get(key, "0 0 0").split()
     try:
         numbers: list = [float(word) for word in words]
@@ -283,38 +372,56 @@ def _add_link(robot: ElementTree.Element, parent: str, child: str, xyz: Sequence
 
 _SENSORS, _KIT = "sensors_calibration.yaml", "sensor_kit_calibration.yaml"
 _KIT_LINK = "sensor_kit_base_link"
+_LEANS = math.sqrt(0.5)
+_UNITS_MAX = 8  # that hang at one another
 _LINK_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 _LINK_NAME = re.compile(r"(.+?)(?:[/_]camera)?(?:_optical)?_(?:link|frame)")
 
 
 def _read_autoware(path: Path) -> Found:
-    """The cameras of both files: those of the kit, and those that hang at base_link directly."""
+    """The cameras of all files: those of the kit or of several units, and those that hang at base_link directly."""
     folder = path if path.is_dir() else path.parent
     if not (folder / _SENSORS).is_file() and not (folder / _KIT).is_file():
         raise InputError(f"{path}: expected a folder with {_SENSORS} and {_KIT}, or one of them, got neither")
-    sensors, kits = (read_yaml_record(folder / name) for name in (_SENSORS, _KIT))
-    base = sensors.at(_BASE)
-    base.mapping(f"a mapping of the links at {_BASE}")
-    base_from_kit = _link_transform(base.at(_KIT_LINK))
-    kit = kits.at(_KIT_LINK)
-    kit.mapping(f"a mapping of the links at {_KIT_LINK}")
-    cameras = [*_link_cameras(kit, base_from_kit), *_link_cameras(base, np.eye(4))]
-    if not cameras:
-        raise InputError(f"{folder / _KIT}: {_KIT_LINK}: expected links such as camera0/camera_link, got none")
-    return Found(tuple(cameras))
-
-
-def _link_cameras(links: Record, base_from_parent: np.ndarray) -> list[FoundCamera]:
-    found = []
-    for link, record in links.mapping().items():
-        match = _LINK_NAME.fullmatch(link)
-        if match is None or "camera" not in link:
+    files = dict.fromkeys([folder / _SENSORS, *sorted(folder.glob("*calibration.yaml"))])
+    records = [read_yaml_record(file) for file in files]
+    base = records[0].at(_BASE).mapping(f"a mapping of the links at {_BASE}")
+    if _KIT_LINK in base and folder / _KIT not in files:
+        read_yaml_record(folder / _KIT)  # which is not there
+    links: dict[str, tuple[str, Record]] = {}
+    for record in records:
+        for parent, below in record.mapping().items():
+            links |= {child: (parent, each) for child, each in below.mapping(f"a mapping of links at {parent}").items()}
+    placed: list[tuple[str, np.ndarray]] = []
+    for link in links:
+        if not _LINK_NAME.fullmatch(link) or "camera" not in link:
             continue
-        transform = base_from_parent @ _link_transform(record)
-        if "optical" not in link:
+        transform, at = np.eye(4), link
+        for _ in range(_UNITS_MAX):
+            if at in links:
+                at, record = links[at]
+                transform = _link_transform(record) @ transform
+        if at != _BASE:
+            raise InputError(f"{folder / _SENSORS}: {at}: expected where it lies, for {link} hangs at it, got nothing")
+        placed.append((link, transform))
+    if not placed:
+        raise InputError(f"{folder / _KIT}: {_KIT_LINK}: expected links such as camera0/camera_link, got none")
+    notes = [note for file, record in zip(files, records, strict=True) for note in unread_note(file, record.unread())]
+    likely = [link for link, transform in placed if "optical" not in link and _is_upright(transform)]
+    are_optical = len(likely) > 1 and len(likely) == sum("optical" not in link for link, _ in placed)
+    if likely:
+        how = "is read so" if are_optical else "is not read so; name such a link camera_optical_link"
+        notes.append(f"{', '.join(likely)}: x right, y down, z forward, as an optical frame, by its angles; it {how}")
+    for link, transform in placed:
+        if "optical" not in link and not are_optical:
             transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
-        found.append(FoundCamera(match[1], transform))
-    return found
+    names = [match[1] for link, _ in placed if (match := _LINK_NAME.fullmatch(link))]
+    return Found(tuple(map(FoundCamera, names, (transform for _, transform in placed))), tuple(notes))
+
+
+def _is_upright(transform: np.ndarray) -> bool:
+    """Whether it is that of an optical frame of a camera that looks ahead and stands upright, within 45 deg each."""
+    return transform[2, 1] < -_LEANS and abs(transform[2, 2]) < _LEANS
 
 
 def _link_transform(record: Record) -> np.ndarray:
@@ -329,10 +436,15 @@ def _link_transform(record: Record) -> np.ndarray:
 def _write_autoware(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
     """Both files, the kit at base_link itself, and camera_info files in a folder beside them."""
     kit = {}
+    # cameras that all lie on their side have links as optical frames are; they are written as such frames
+    link_from_camera = np.eye(4)
+    link_from_camera[:3, :3] = FLU_FROM_RDF
+    lie = len(cameras) > 1 and all(_is_upright(each.file_from_camera @ link_from_camera.T) for each in cameras)
     for camera in cameras:
-        position_m, angle = link_of_transform(camera.file_from_camera)
+        placed = camera.file_from_camera @ link_from_camera if lie else camera.file_from_camera
+        position_m, angle = link_of_transform(placed)
         numbers = [*position_m, angle["roll_rad"], angle["pitch_rad"], angle["yaw_rad"]]
-        kit[f"{camera.name}/camera_link"] = _link(numbers)
+        kit[f"{camera.name}/camera_{'optical_' if lie else ''}link"] = _link(numbers)
     contents = {_SENSORS: {_BASE: {_KIT_LINK: _link([0.0] * 6)}}, _KIT: {_KIT_LINK: kit}}
     return {
         **{target / name: ("\n".join(yaml_lines(content)) + "\n").encode() for name, content in contents.items()},

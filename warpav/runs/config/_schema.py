@@ -520,6 +520,7 @@ class DetectorConfig(Section):
         "ultralytics-rtdetr",
         "yolox",
         "yolox-decoded",
+        "yolov5",
         "torchvision",
         "rtdetr",
         "rtdetr-single",

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.records import unread_text
 from warpav.scene._scene import outline_gap_m
 from warpav.scene.town._town_layout import Footprint
 
@@ -188,6 +189,7 @@ def recording_of(
     faults: Iterable[Fault] = (),
     passed_over: Iterable[str] = (),
     notes: Iterable[str] = (),
+    unread: Iterable[str] = (),
     found_map: str = "",
 ) -> Recording:
     """The recording of what a file holds.
@@ -202,6 +204,7 @@ def recording_of(
         faults: Of road users whom it does not.
         passed_over: The file's word for each object that is no road user.
         notes: What else the account says.
+        unread: Keys and columns that the reader does not know.
         found_map: The name of a map that lay near and that the file does not name. If it is of another place, the
             recording has no lanes.
 
@@ -232,6 +235,7 @@ def recording_of(
         raise InputError(f"ego: expected the id of a road user, got {ego_id!r}")
     recording = Recording(recording_id, source, step_s, tuple(lanelets), tuple(kept.values()), ego_id)
     parts = [*_account(found, clipped, Counter(passed_over), len(found) + len(kept)), *notes]
+    parts += filter(None, [unread_text(sorted(set(unread)))])
     try:
         _check_lanes(recording)
     except InputError as error:

@@ -15,7 +15,7 @@ import numpy as np
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
 from warpav.core.errors import InputError
-from warpav.scene.traffic.formats._rows import grouped, read_columns, steps_of, users_of
+from warpav.scene.traffic.formats._rows import Columns, grouped, read_columns, steps_of, users_of
 from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, recording_of
 
 _ANNOTATIONS, _POSES = "annotations.feather", "city_SE3_egovehicle.feather"
@@ -59,10 +59,12 @@ def files_of(folder: Path) -> list[Path]:
 
 def read(folder: Path) -> Recording:
     """The recording of a log; its ego vehicle is the one that carried the sensors."""
-    boxes = read_columns(folder / _ANNOTATIONS, ("timestamp_ns", *_BOX), ("track_uuid", "category"))
+    texts = ("track_uuid", "category")
+    boxes = read_columns(folder / _ANNOTATIONS, ("timestamp_ns", *_BOX), texts, harmless="num_interior_pts")
     poses = read_columns(folder / _POSES, ("timestamp_ns", *_POSE))
+    strange = {*boxes.unread, *poses.unread}
     order = np.argsort(poses["timestamp_ns"])
-    poses = {name: column[order] for name, column in poses.items()}
+    poses = Columns({name: column[order] for name, column in poses.items()})
     step, step_s = steps_of(boxes["timestamp_ns"].astype(np.int64), _ANNOTATIONS)
     step_s *= 1e-9
     at = np.clip(np.searchsorted(poses["timestamp_ns"], boxes["timestamp_ns"]), 0, len(order) - 1)
@@ -87,8 +89,11 @@ def read(folder: Path) -> Recording:
     }  # fmt: skip
     _seat(rows)
     users, others = users_of(rows, _CLASS_OF_CATEGORY)
-    lanelets = lanelets_of(folder.glob("map/log_map_archive_*.json"), shift_m)
-    return recording_of(folder.name, "Argoverse 2", step_s, lanelets, [ego, *users], _EGO, passed_over=others)
+    lanelets = lanelets_of(folder.glob("map/log_map_archive_*.json"), shift_m, strange)
+    everybody = [ego, *users]
+    return recording_of(
+        folder.name, "Argoverse 2", step_s, lanelets, everybody, _EGO, passed_over=others, unread=strange
+    )
 
 
 def _seat(rows: dict[str, np.ndarray]) -> None:
@@ -104,8 +109,19 @@ def _seat(rows: dict[str, np.ndarray]) -> None:
             rows[name][row] = max(np.median(rows[name][row]), np.median(rows[name][below]))
 
 
-def lanelets_of(maps: Iterable[Path], shift_m: np.ndarray) -> tuple[Lanelet, ...]:
-    """Lanes and crossings of the first map of Argoverse 2, less ``shift_m`` [2]; none without a map."""
+_OF_LANES = {
+    *("id", "is_intersection", "lane_type", "predecessors", "successors", "left_neighbor_id", "right_neighbor_id"),
+    *("left_lane_boundary", "right_lane_boundary", "left_lane_mark_type", "right_lane_mark_type", "edge1", "edge2"),
+    *("lane_segments", "pedestrian_crossings", "drivable_areas"),
+}
+"""Keys of a map, its lanes and crossings that are read, or say nothing of where these are."""
+
+
+def lanelets_of(maps: Iterable[Path], shift_m: np.ndarray, strange: set[str]) -> tuple[Lanelet, ...]:
+    """Lanes and crossings of the first map of Argoverse 2, less ``shift_m`` [2]; none without a map.
+
+    Keys that are not known there are added to ``strange``.
+    """
     file = min(maps, default=None)
     if file is None:  # then the road follows the tracks
         return ()
@@ -120,6 +136,8 @@ def lanelets_of(maps: Iterable[Path], shift_m: np.ndarray) -> tuple[Lanelet, ...
             for segment in data["lane_segments"].values()
         ]
         crossings = data.get("pedestrian_crossings", {}).values()
+        for each in (data, *data["lane_segments"].values(), *crossings):
+            strange |= each.keys() - _OF_LANES
         lanelets += [
             Lanelet(_line(each["edge1"], shift_m), _line(each["edge2"], shift_m), ("crosswalk",)) for each in crossings
         ]

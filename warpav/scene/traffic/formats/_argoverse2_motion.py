@@ -20,6 +20,9 @@ from warpav.scene.traffic.recording import Recording, recording_of
 _STEP_S = 0.1
 _MAPS = "log_map_archive_*.json"
 _EGO = "AV"  # the track of the vehicle that carried the sensors
+_HARMLESS = (
+    "observed|object_category|scenario_id|(start|end)_timestamp|num_timestamps|focal_track_id|city|map_id|slice_id"
+)
 _CLASS_OF_TYPE = {
     "vehicle": "car",
     "bus": "bus",
@@ -45,7 +48,8 @@ def read(folder: Path) -> Recording:
     if more:
         raise InputError(f"expected one scenario in a folder, got {file.name} and {more[0].name}")
     numbers = ("timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y")
-    columns = read_columns(file, numbers, ("track_id", "object_type"))
+    columns = read_columns(file, numbers, ("track_id", "object_type"), harmless=_HARMLESS)
+    strange = set(columns.unread)
     step = columns["timestep"]
     if len(step) == 0:
         raise InputError(f"{file.name}: expected a row for every road user and step, got none")
@@ -65,5 +69,5 @@ def read(folder: Path) -> Recording:
     speed_m_s = speed_along(columns["heading"], np.stack([columns["velocity_x"], columns["velocity_y"]], axis=1))
     users, others = users_of(rows, _CLASS_OF_TYPE, speed_m_s)
     ego_id = _EGO if any(user.user_id == _EGO for user in users) else None
-    source, lanelets = "Argoverse 2 motion forecasting", lanelets_of(folder.glob(_MAPS), shift_m)
-    return recording_of(folder.name, source, _STEP_S, lanelets, users, ego_id, passed_over=others)
+    source, lanelets = "Argoverse 2 motion forecasting", lanelets_of(folder.glob(_MAPS), shift_m, strange)
+    return recording_of(folder.name, source, _STEP_S, lanelets, users, ego_id, passed_over=others, unread=strange)

@@ -13,6 +13,12 @@ from warpav.core.errors import InputError
 from warpav.scene.traffic.recording import Fault, Lanelet, RecordedUser, Recording, check_step, recording_of
 
 _VERSIONS = ("2018b", "2020a")
+_KNOWN = {
+    *("lanelet", "obstacle", "dynamicObstacle", "staticObstacle", "planningProblem", "location", "scenarioTags"),
+    *("trafficSign", "trafficLight", "intersection", "environmentObstacle", "phantomObstacle"),
+    *("role", "type", "shape", "initialState", "trajectory", "initialSignalState", "signalSeries"),
+}
+"""Elements of a scenario and of an obstacle that are read, or say nothing of who is where."""
 _CLASS_OF_TYPE = {
     "car": "car",
     "taxi": "car",
@@ -37,6 +43,7 @@ def read(file: Path) -> Recording:
         raise InputError(f"commonRoadVersion: expected {' or '.join(_VERSIONS)}, got {version!r}")
     obstacles = [each for tag in ("obstacle", "dynamicObstacle", "staticObstacle") for each in root.findall(tag)]
     users, faults, others = [], [], []
+    strange = {f"<{below.tag}>" for each in (root, *obstacles) for below in each if below.tag not in _KNOWN}
     for element in obstacles:
         name, kind = element.get("id", ""), element.findtext("type", "").strip()
         if kind not in _CLASS_OF_TYPE:
@@ -71,6 +78,7 @@ def read(file: Path) -> Recording:
         standing,
         faults=faults,
         passed_over=others,
+        unread=strange,
     )
 
 

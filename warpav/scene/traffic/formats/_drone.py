@@ -15,7 +15,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.scene.traffic.formats._lanelet2 import maps_near, read_map
-from warpav.scene.traffic.formats._rows import read_columns, steps_of, with_people
+from warpav.scene.traffic.formats._rows import Columns, read_columns, steps_of, with_people
 from warpav.scene.traffic.recording import CLASSES, Fault, Lanelet, Recording, recording_of
 
 _RATE_HZ = 5.0
@@ -23,6 +23,15 @@ _REACH_M, _AHEAD_M = 1e4, 30.0  # of highD's positions, and of its lanes beyond 
 _PLACE, _ORIGIN = ("locationId", "upperLaneMarkings", "lowerLaneMarkings"), ("xUtmOrigin", "yUtmOrigin")
 _BOX = ("frame", "xCenter", "yCenter", "heading", "width", "length", "xVelocity", "yVelocity")
 _IMAGE_BOX = ("frame", "x", "y", "width", "height", "xVelocity", "yVelocity")
+_OF_ABOUT = (
+    r"id|recordingId|locationName|speedLimit|month|week[dD]ay|startTime|duration|totalDriv\w+|num\w+|\w+Location|fileName"
+    r"|weather|orthoPxToMeter|scaleDownFactor|backgroundScaleFactor"
+)
+_OF_TRACKS = (
+    r"recordingId|trackLifetime|num\w+|(initial|final)Frame|width|length|height|[dt]hw|ttc|odrSectionNo"
+    r"|\w*(Acceleration|Velocity|Distance|[DT]HW|TTC|Ids?|ID)|(lane|lead|rear|alongside|left|right|cur|lat|lon)\w+"
+)
+"""Columns that are not needed: patterns of names."""
 _CLASS_OF_TYPE = {name: name for name in CLASSES} | {"van": "car", "truck_bus": "truck", "trailer": "truck"}
 
 
@@ -35,14 +44,16 @@ def files_of(file: Path) -> list[Path]:
 def read(file: Path) -> Recording:
     """The recording of a file of tracks."""
     _, tracks_file, about_file, *maps = files_of(file)
-    about = read_columns(about_file, ("frameRate",), _PLACE, optional=(*_PLACE, *_ORIGIN))
+    about = read_columns(about_file, ("frameRate",), _PLACE, optional=(*_PLACE, *_ORIGIN), harmless=_OF_ABOUT)
     rate_hz = float(about["frameRate"][0]) if len(about["frameRate"]) else 0.0
     if not 0.0 < rate_hz < 1e4:
         raise InputError(f"{about_file}: frameRate: expected frames a second, got {rate_hz:g}")
     is_image = _PLACE[1] in about
     key = "id" if is_image else "trackId"
-    table = read_columns(file, _IMAGE_BOX if is_image else _BOX, (key,))
-    tracks = read_columns(tracks_file, ("drivingDirection",) if is_image else (), (key, "class"))
+    table = read_columns(file, _IMAGE_BOX if is_image else _BOX, (key,), harmless=_OF_TRACKS)
+    direction = ("drivingDirection",) if is_image else ()
+    tracks = read_columns(tracks_file, direction, (key, "class"), harmless=_OF_TRACKS)
+    strange = {*about.unread, *table.unread, *tracks.unread}
     names, first, count = np.unique(tracks[key], return_index=True, return_counts=True)
     if (count != 1).any():
         raise InputError(f"{tracks_file}: {key}: expected every id once, got {names[count > 1][0]} twice")
@@ -50,7 +61,7 @@ def read(file: Path) -> Recording:
     text = f"class: expected a row with its {key} in {tracks_file.name}, got none"
     with np.errstate(invalid="ignore"):
         kept = (np.mod(table["frame"], max(1, round(rate_hz / _RATE_HZ))) == 0) & np.isin(table[key], names)
-    table = {name: column[kept] for name, column in table.items()}
+    table = Columns({name: column[kept] for name, column in table.items()})
     if strangers and not kept.any():
         raise InputError(f"road user {strangers[0]}: {text}")
     track = first[np.searchsorted(names, table[key])]
@@ -70,11 +81,12 @@ def read(file: Path) -> Recording:
         place, origin_m = about.get(_PLACE[0], [""])[0], [float(about[name][0]) for name in _ORIGIN if name in about]
         maps = [each for each in maps if place in re.findall(r"\d+", each.stem)] if len(origin_m) == 2 else []
         maps = sorted(maps, key=lambda each: len(each.stem))[:1]  # others are variants
-        lanelets = [lanelet for each in maps for lanelet in read_map(each, origin_m)]
+        lanelets = [lanelet for each in maps for lanelet in read_map(each, origin_m, strange)]
     users, others = with_people(rows, _CLASS_OF_TYPE, velocity_m_s)
     return recording_of(
         file.stem.partition("_")[0], "highD" if is_image else "inD, rounD, exiD or uniD", frames / rate_hz, lanelets,
         users, faults=[Fault("class", f"road user {name}: {text}") for name in strangers], passed_over=others,
+        unread=strange,
         found_map=maps[0].name if maps else "",
     )  # fmt: skip
 

@@ -31,7 +31,8 @@ def read(file: Path) -> Recording:
     """The recording of a file of tracks."""
     files = files_of(file)
     csv = [(each, _NUMBERS if each != file else (*_NUMBERS, *_BOX)) for each in files if each.suffix == ".csv"]
-    tables = [read_columns(each, numbers, ("track_id", "agent_type")) for each, numbers in csv]
+    tables = [read_columns(each, numbers, ("track_id", "agent_type"), harmless="frame_id") for each, numbers in csv]
+    strange = {key for each in tables for key in each.unread}
     for people in tables[1:]:
         people |= {name: np.full(len(people["x"]), np.nan) for name in _BOX}
         people["track_id"] = np.char.add("person ", people["track_id"])
@@ -46,9 +47,10 @@ def read(file: Path) -> Recording:
     users, others = with_people(rows, _CLASS_OF_TYPE, velocity_m_s)
     maps = [each for each in files if each.suffix == ".osm"]
     place = f"{file.absolute().parent.name} {file.stem.rsplit('_', 1)[-1]}"
+    lanelets = [lane for each in maps for lane in read_map(each, strange=strange)]
     return recording_of(
-        place, "INTERACTION", 1e-3 * step_ms, [lane for each in maps for lane in read_map(each)], users,
-        passed_over=others, found_map=maps[0].name if maps else "",
+        place, "INTERACTION", 1e-3 * step_ms, lanelets, users, passed_over=others, unread=strange,
+        found_map=maps[0].name if maps else "",
     )  # fmt: skip
 
 

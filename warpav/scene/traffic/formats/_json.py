@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, parse_json, read_bytes
 from warpav.core.errors import InputError
-from warpav.core.records import Point2, Positive, Record, Word, read_record
+from warpav.core.records import Point2, Positive, Record, Word, read_record, unread
 from warpav.core.yaml_file import Location
 from warpav.scene.traffic.recording import (
     LANE_WIDTH_M,
@@ -81,8 +81,11 @@ def read(file: Path) -> Recording:
         except InputError as error:
             faults.append(Fault.of(error, f"road user {name}"))
     ego = found.ego.get("id") if isinstance(found.ego, dict) else found.ego
+    own = {"id", *_User.model_fields}
+    strange = {f"road_users.{key}" for each in found.road_users if isinstance(each, dict) for key in each.keys() - own}
+    ego_id = None if ego is None else str(ego)
     return recording_of(
-        found.id, found.source, found.dt_s, lanelets, users, None if ego is None else str(ego), faults=faults
+        found.id, found.source, found.dt_s, lanelets, users, ego_id, faults=faults, unread=[*unread(found), *strange]
     )
 
 

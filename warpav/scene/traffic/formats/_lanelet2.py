@@ -19,6 +19,19 @@ from warpav.scene.traffic.recording import Lanelet
 _KIND = "a lanelet2 map"
 _ON_FOOT = ("walkway", "shared_walkway", "stairs", "pedestrian_lane")  # subtypes that are no part of the road
 
+_ELEMENTS = ("relation", "bounds", "note", "meta", "MetaInfo")
+_TAGS = (
+    "type",
+    "subtype",
+    "location",
+    "region",
+    "name",
+    "one_way",
+    "participant",
+    "speed_limit",
+    "turn_direction",
+    "dynamic",
+)
 # UTM on WGS 84
 _SCALE, _FALSE_EASTING_M = 0.9996, 500_000.0
 _N = 1.0 / (2.0 * 298.257223563 - 1.0)
@@ -45,14 +58,17 @@ def utm_m(latitude_deg: np.ndarray, longitude_deg: np.ndarray, meridian_deg: flo
     return _SCALE * _RADIUS_M * np.stack([x, y], axis=-1) + [_FALSE_EASTING_M, 0.0]
 
 
-def read_map(file: Path, origin_m: Sequence[float] | None = None) -> list[Lanelet]:
+def read_map(file: Path, origin_m: Sequence[float] | None = None, strange: set[str] | None = None) -> list[Lanelet]:
     """The lanes and crossings of a map; those that lack a side are left out.
+
+    Elements, and tags of lanelets, that are not known are added to ``strange``.
 
     ``origin_m`` is the recording's origin in UTM, easting and northing; None where latitude and longitude are 0 there.
     """
     nodes: dict[str, list[float]] = {}
     ways: dict[str, tuple[list[str], bool]] = {}
     relations: list[tuple[str, dict[str, str]]] = []
+    unknown = set() if strange is None else strange
 
     def take(element: Element) -> None:
         name, tags = element.get("id", ""), {each.get("k", ""): each.get("v", "") for each in element.iter("tag")}
@@ -64,9 +80,12 @@ def read_map(file: Path, origin_m: Sequence[float] | None = None) -> list[Lanele
                 raise InputError(f"{file}: node {name}: expected numbers as lat and lon, got {texts[:2]}") from None
         elif element.tag == "way":
             ways[name] = [each.get("ref", "") for each in element.iter("nd")], tags.get("type") == "virtual"
+        elif element.tag not in _ELEMENTS:
+            unknown.add(f"<{element.tag}>")
         elif element.tag == "relation" and tags.get("type") == "lanelet":
             members = [(each.get("role", ""), each.get("ref", "")) for each in element.iter("member")]
             sides = {role: ref for role, ref in members if role in ("left", "right")}
+            unknown.update(f"lanelet {key}" for key in tags if key.partition(":")[0] not in _TAGS)
             relations.append((tags.get("subtype", "road"), sides))
 
     parts = read_parts(file, _KIND, bytes_max=DATA_SET_BYTES_MAX)

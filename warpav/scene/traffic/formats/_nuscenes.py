@@ -23,6 +23,11 @@ from warpav.scene.traffic.formats._rows import stamp_of, steps_of, users_of
 from warpav.scene.traffic.recording import RecordedUser, Recording, recording_of
 
 _TABLES = ("scene", "category", "attribute", "instance", "sample", "ego_pose", "sample_annotation")
+_COLUMNS = {
+    *("token", "timestamp", "translation", "rotation", "size", "sample_token", "instance_token", "attribute_tokens"),
+    *("visibility_token", "prev", "next", "num_lidar_pts", "num_radar_pts"),
+}
+"""Of the tables with numbers, read or of no meaning here."""
 _EGO, _RIDERLESS = "ego", "cycle.without_rider"
 _EGO_SIZE_M, _EGO_CENTRE_M = (4.084, 1.730, 1.562), 1.385  # a Renault Zoe, and how far it lies ahead of its rear axle
 _POSE_AWAY_US = 250_000.0  # half the time between key frames
@@ -48,6 +53,7 @@ class _Tables:
     scene: np.ndarray  # the name of its scene, [sample]
     ego: np.ndarray  # x, y [m] and yaw [rad] of the vehicle's frame then, float64 [sample, 3]; NaN without a pose
     instance: list[tuple[str, str]]  # token and category
+    unread: set[str]  # columns that are not known
     box: np.ndarray  # sample, instance, whether a rider lacks, x, y, yaw, width, length, height, float64 [box, 9]
 
 
@@ -95,7 +101,8 @@ def read(path: Path) -> Recording:
     for k, name in enumerate(("id", "type")):  # who has no rider for a time is somebody else then
         rows[name] = np.array([tables.instance[i][k] + " without rider" * bare for i, bare in box[:, 1:3].astype(int)])
     users, others = users_of(rows, _CLASS_OF_CATEGORY)
-    return recording_of(path.name, "nuScenes", 1e-6 * step_us, (), [ego, *users], _EGO, passed_over=others)
+    step_s, everybody = 1e-6 * step_us, [ego, *users]
+    return recording_of(path.name, "nuScenes", step_s, (), everybody, _EGO, passed_over=others, unread=tables.unread)
 
 
 @lru_cache(maxsize=2)
@@ -110,11 +117,15 @@ def _tables(*stamped: tuple[Path, tuple[int, int]]) -> _Tables:
     instance_of = {token: k for k, (token, _) in enumerate(instances)}
     riderless = {token for token, name in attributes if name == _RIDERLESS}
 
+    strange: set[str] = set()
+
     def pose(row: dict[str, Any]) -> tuple[float, ...]:
+        strange.update(row.keys() - _COLUMNS)
         x, y, _ = map(float, row["translation"])
         return float(int(row["timestamp"])), x, y, _yaw(row["rotation"])
 
     def box(row: dict[str, Any]) -> tuple[float, ...]:
+        strange.update(row.keys() - _COLUMNS)
         x, y, _ = map(float, row["translation"])
         width, length, height = map(float, row["size"])
         when, who = sample_of.get(str(row["sample_token"]), -1), instance_of.get(str(row["instance_token"]), -1)
@@ -134,6 +145,7 @@ def _tables(*stamped: tuple[Path, tuple[int, int]]) -> _Tables:
         np.array([name.get(scene, "") for _, scene, _ in moments], str),
         np.where((np.abs(poses[near, 0] - time_us) <= _POSE_AWAY_US)[:, None], poses[near, 1:], math.nan),
         [*((token, category.get(each, "no category")) for token, each in instances), ("", "no instance")],
+        strange,
         np.concatenate([np.zeros((0, 9)), *(np.reshape(rows, (-1, 9)) for rows in json_rows(annotation, box))]),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
@@ -27,24 +28,32 @@ _NOMINAL_SIZE_M = {"pedestrian": (0.5, 0.6), "bicycle": (1.8, 0.6), "motorcycle"
 _HEADING_FROM_M_S = 0.3  # a slower velocity gives no heading
 
 
+class Columns(dict[str, np.ndarray]):
+    """Columns of a table by name; ``unread`` are the names of those that are neither asked for nor harmless."""
+
+    unread: Sequence[str] = ()
+
+
 def read_columns(
-    file: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, optional: Sequence[str] = ()
-) -> dict[str, np.ndarray]:
+    file: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, optional: Sequence[str] = (), harmless: str = ""
+) -> Columns:
     """Columns of a table by name: numbers as float64 or as whole numbers, NaN where one is empty; texts as they are.
 
-    Those of ``optional`` that are not there are left out. Raises `InputError` with file and row where a column is
-    missing or a value is no number.
+    Those of ``optional`` that are not there are left out; ``harmless`` is a pattern of names. Raises
+    `InputError` with file and row where a column is missing or a value is no number.
     """
     names = [*numbers, *texts, *optional]
     found = _of_csv(file, names, texts) if file.suffix == ".csv" else _of_arrow(file, names)
     missing = [name for name in names if name not in found and name not in optional]
     if missing:
         raise InputError(f"{file}: expected a column {missing[0]}, got {', '.join([*found][:30])[:300] or 'none'}")
-    return {
-        name: column if name in texts else _numbers(column, f"{file}", name)
+    columns = Columns(
+        (name, column if name in texts else _numbers(column, f"{file}", name))
         for name, column in found.items()
         if name in names
-    }
+    )
+    columns.unread = [name for name in found if name not in names and name and not re.fullmatch(harmless, name)]
+    return columns
 
 
 def _of_csv(file: Path, names: Sequence[str], texts: Sequence[str]) -> dict[str, np.ndarray]:

@@ -21,6 +21,18 @@ from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, rec
 _TYPES = (".rou.xml", ".vtype.xml", ".add.xml")
 _ATTRIBUTES, _SIZES, _LANE_WIDTH_M = ("x", "y", "angle", "speed"), ("length", "width", "height"), "3.2"
 
+_KNOWN = {*_ATTRIBUTES, "id", "type", "z", "pos", "posLat", "lane", "edge", "slope", "signals", "odometer"}
+_KNOWN |= {
+    "acceleration",
+    "accelerationLat",
+    "speedLat",
+    "distance",
+    "vehicle",
+    "arrivalDelay",
+    "leaderID",
+    "leaderGap",
+    "leaderSpeed",
+}
 _Kind = tuple[str, tuple[float, float, float]]
 # class and SUMO's default size by vClass, empty for no road user; words that are not here are as passenger
 _KINDS: dict[str, _Kind] = {
@@ -48,11 +60,13 @@ def files_of(file: Path) -> list[Path]:
 def read(file: Path) -> Recording:
     """The recording of an output."""
     number_of: dict[tuple[str, str, str], int] = {}
+    strange: set[str] = set()
     samples, times, at, who = array("d"), array("d"), array("q"), array("q")
 
     def take(timestep: Element) -> None:
         times.append(_float(timestep.get("time")))
         for each in timestep:  # people in a vehicle stand inside its element
+            strange.update(each.attrib.keys() - _KNOWN)
             kind = each.get("type", "").partition("@")[0]  # behind @ stands whose own type it is
             who.append(number_of.setdefault((each.tag, each.get("id", ""), kind), len(number_of)))
             at.append(len(times) - 1)
@@ -77,7 +91,9 @@ def read(file: Path) -> Recording:
         users.append(RecordedUser(name, category, size, step[row], pose, track[row, 3] if has_speed else None))
     unknown = sorted({kind for _, _, kind in names} - {*kinds, *others})
     notes = [f"SUMO's default sizes without a vType of {', '.join(unknown[:5])}"] if unknown else []
-    return recording_of(file.stem, "SUMO", step_s, _lanelets(file), users, passed_over=others, notes=notes)
+    return recording_of(
+        file.stem, "SUMO", step_s, _lanelets(file), users, passed_over=others, notes=notes, unread=strange
+    )
 
 
 def _head(file: Path) -> bytes:

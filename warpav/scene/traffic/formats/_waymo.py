@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, parse_json, read_bytes
 from warpav.core.errors import InputError
-from warpav.core.records import Record, Word, read_record
+from warpav.core.records import Record, Word, read_record, unread
 from warpav.scene.traffic.formats._rows import USUAL_SIZE_M, speed_along
 from warpav.scene.traffic.recording import LANE_WIDTH_M, Fault, Lanelet, RecordedUser, Recording, recording_of
 
@@ -30,11 +30,18 @@ _TYPES = {"0": "unset", "1": "vehicle", "2": "pedestrian", "3": "cyclist", "4": 
 _CLASS_OF_TYPE = {"vehicle": "car", "pedestrian": "pedestrian", "cyclist": "bicycle"}
 _CYCLE_LANE, _CYCLE_LANE_WIDTH_M = 3, 1.5  # the map_element_id of a lane for bicycles, and a usual width
 _CORNERS = 4  # of a crossing
+_HARMLESS = {
+    "tl_states",
+    "roads.id",
+    *(f"objects.{key}" for key in ("id", "type", "is_sdc", "goalPosition", "mark_as_expert")),
+}
 # samples over which a way of more than so much tells a direction, and how many directions tell the unit of headings
 _SPAN, _MOVING_M, _MOVING_SHARE_MIN = 5, 0.75, 20
 
 
 class _Point(Record):
+    model_config = ConfigDict(extra="ignore")  # heights, of very many
+
     x: float
     y: float
 
@@ -98,10 +105,12 @@ def read(file: Path) -> Recording:
     index = scene.metadata.get("sdc_track_index")
     ego = {name for k, name in enumerate(names) if k == index or scene.objects[k].get("is_sdc") is True}
     ego_id = next((user.user_id for user in users if user.user_id in ego), None)
+    own = _Object.model_fields.keys()
     lanelets = [lanelet for road in scene.roads if (lanelet := _lanelet(road)) is not None]
     return recording_of(
-        scene.scenario_id or scene.name, "Waymo", _STEP_S, lanelets, users, ego_id, faults=faults, passed_over=others
-    )
+        scene.scenario_id or scene.name, "Waymo", _STEP_S, lanelets, users, ego_id, faults=faults, passed_over=others,
+        unread={*unread(scene), *(f"objects.{key}" for each in scene.objects for key in each.keys() - own)} - _HARMLESS,
+    )  # fmt: skip
 
 
 def _track(data: dict[str, Any], name: str, category: str) -> tuple[RecordedUser, np.ndarray | None]:
