@@ -29,6 +29,7 @@ from warpav.scene._mesh_colours import (
     texture_of,
     vertex_rgb,
 )
+from warpav.scene._usd import USD_FORMATS, read_stage
 from warpav.scene._vehicle_shape import ALIKE, Shape, Wheels, points_on, shape_of, wheels_of
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 _SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
+FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off", *USD_FORMATS)
 _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
 _STATED_LENGTH_M = (0.2, 40.0)
@@ -211,22 +212,26 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     finder = FileFinder(path)
     # glTF and COLLADA define their up axis; the other formats do not, so the ego frame is assumed
     usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
+    is_scene = is_own = False
     try:
-        if suffix == "dae":
-            up, metres = _collada_frame(path)
-            usual = usual.changed(up=up, scale=metres)
-        # the resolver has all that trimesh asks of one
-        source = trimesh.util.wrap_as_stream(content) if suffix == "glb" else path
-        file = trimesh.load_scene(source, suffix, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
-        nodes = [str(name) for name in file.graph.nodes_geometry]
-        is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
-        is_own = (file.metadata or {}).get("schema") == _SCHEMA
-        names = [name for name in nodes if not is_scene or name == EGO_NODE]
-        count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
-        if count > TRIANGLES_MAX:
-            raise ValueError(f"{count:,} triangles in all nodes, of at most {TRIANGLES_MAX:,}")
-        found = [(name, part) for name in names if (part := _part(file, name, finder)) is not None]
-        parts = [part for _, part in found]
+        if suffix in USD_FORMATS:
+            stage = read_stage(path)
+            found, usual, unread = stage.parts, Reading(stage.up, "x", stage.metres), stage.notes
+        else:
+            if suffix == "dae":
+                up, metres = _collada_frame(path)
+                usual = usual.changed(up=up, scale=metres)
+            # the resolver has all that trimesh asks of one
+            source = trimesh.util.wrap_as_stream(content) if suffix == "glb" else path
+            file = trimesh.load_scene(source, suffix, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
+            nodes = [str(name) for name in file.graph.nodes_geometry]
+            is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
+            is_own = (file.metadata or {}).get("schema") == _SCHEMA
+            names = [name for name in nodes if not is_scene or name == EGO_NODE]
+            count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
+            if count > TRIANGLES_MAX:
+                raise ValueError(f"{count:,} triangles in all nodes, of at most {TRIANGLES_MAX:,}")
+            found = [(name, part) for name in names if (part := _part(file, name, finder)) is not None]
     except InputError:
         raise
     except Exception as error:
@@ -234,6 +239,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         raise InputError(
             f"{path}: vehicle: expected a readable {suffix} file, got: {reason}; export it again"
         ) from None
+    parts = [part for _, part in found]
     if not parts:
         raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
     notes = [*unread, *finder.notes]

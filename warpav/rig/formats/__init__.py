@@ -12,6 +12,7 @@ RIG_FORMATS = {
     "opencv": "_calibration",
     "alpasim": "_alpasim",
     "kalibr": "_calibration",
+    "usd": "_usd",
 }
 """Where the formats are, by name; each module has its `RigFormat` rows in ``FORMATS``."""
-IMPORTED_ONLY, EXPORTED_ONLY = ("kalibr",), ("camera-info",)
+IMPORTED_ONLY, EXPORTED_ONLY = ("kalibr",), ("camera-info", "usd")
