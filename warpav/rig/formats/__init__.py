@@ -11,6 +11,7 @@ RIG_FORMATS = {
     "kitti": "_data_sets",
     "opencv": "_calibration",
     "alpasim": "_alpasim",
+    "driveworks": "_driveworks",
     "kalibr": "_calibration",
     "usd": "_usd",
 }
