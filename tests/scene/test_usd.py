@@ -71,6 +71,94 @@ def lows(file):
     )
 
 
+def step_of(low, high, *, unit="SI_UNIT(.MILLI.,.METRE.)", rgb=(0.8, 0.1, 0.2)):
+    """A red box as a faceted solid, as CAD systems write it."""
+    lines = []
+
+    def add(text):
+        lines.append(f"#{len(lines) + 1}={text};")
+        return f"#{len(lines)}"
+
+    def row(items):
+        return f"({','.join(map(str, items))})"
+
+    app = add("APPLICATION_CONTEXT('automotive design')")
+    part, stage = add(f"PRODUCT_CONTEXT('',{app},'')"), add(f"PRODUCT_DEFINITION_CONTEXT('',{app},'design')")
+    units = [add(f"(LENGTH_UNIT() NAMED_UNIT(*) {unit})")]
+    units += [add("(NAMED_UNIT(*) PLANE_ANGLE_UNIT() SI_UNIT($,.RADIAN.))")]
+    units += [add("(NAMED_UNIT(*) SI_UNIT($,.STERADIAN.) SOLID_ANGLE_UNIT())")]
+    around = f"GLOBAL_UNIT_ASSIGNED_CONTEXT({row(units)}) REPRESENTATION_CONTEXT('','')"
+    context = add(f"(GEOMETRIC_REPRESENTATION_CONTEXT(3) {around})")
+    shape = add(f"PRODUCT('box','box','',({part}))")
+    shape = add(f"PRODUCT_DEFINITION_FORMATION('','',{shape})")
+    shape = add(f"PRODUCT_DEFINITION('','',{shape},{stage})")
+    shape = add(f"PRODUCT_DEFINITION_SHAPE('','',{shape})")
+    corner = np.array(low) + BOX * (np.array(high) - low)
+    point = [add(f"CARTESIAN_POINT('',{row(each.tolist())})") for each in corner]
+    faces = []
+    for quad in QUADS:
+        along = corner[quad[1]] - corner[quad[0]]
+        normal = np.cross(along, corner[quad[2]] - corner[quad[1]])
+        axes = [add(f"DIRECTION('',{row((v / np.linalg.norm(v)).tolist())})") for v in (normal, along)]
+        plane = add(f"AXIS2_PLACEMENT_3D('',{point[quad[0]]},{axes[0]},{axes[1]})")
+        plane = add(f"PLANE('',{plane})")
+        bound = add(f"POLY_LOOP('',{row(point[k] for k in quad)})")
+        bound = add(f"FACE_OUTER_BOUND('',{bound},.T.)")
+        faces.append(add(f"FACE_SURFACE('',({bound}),{plane},.T.)"))
+    solid = add(f"CLOSED_SHELL('',{row(faces)})")
+    solid = add(f"FACETED_BREP('',{solid})")
+    look = add(f"COLOUR_RGB('',{rgb[0]},{rgb[1]},{rgb[2]})")
+    for kind in ("FILL_AREA_STYLE_COLOUR('',{})", "FILL_AREA_STYLE('',({}))", "SURFACE_STYLE_FILL_AREA({})"):
+        look = add(kind.format(look))
+    for kind in (
+        "SURFACE_SIDE_STYLE('',({}))",
+        "SURFACE_STYLE_USAGE(.BOTH.,{})",
+        "PRESENTATION_STYLE_ASSIGNMENT(({}))",
+    ):
+        look = add(kind.format(look))
+    styled = add(f"STYLED_ITEM('',({look}),{solid})")
+    add(f"MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',({styled}),{context})")
+    whole = add(f"FACETED_BREP_SHAPE_REPRESENTATION('',({solid}),{context})")
+    add(f"SHAPE_DEFINITION_REPRESENTATION({shape},{whole})")
+    head = "FILE_DESCRIPTION((''),'2;1');FILE_NAME('','',(''),(''),'','','');FILE_SCHEMA(('AUTOMOTIVE_DESIGN'));"
+    body = "\n".join(lines)
+    return f"ISO-10303-21;HEADER;{head}ENDSEC;\nDATA;\n{body}\nENDSEC;\nEND-ISO-10303-21;\n"
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("SI_UNIT(.MILLI.,.METRE.)", 1000.0), ("SI_UNIT($,.METRE.)", 1.0)])
+def test_a_step_file_states_its_unit_and_colours(tmp_path, unit, scale):
+    pytest.importorskip("cascadio", reason="needs cascadio")
+    size = np.array([4.5, 1.8, 1.5])
+    path = tmp_path / "car.step"
+    path.write_text(step_of([0.0, 0.0, 0.0], (scale * size).tolist(), unit=unit))
+    file = read_vehicle_file(path)
+    assert (file.usual.up, file.usual.scale, len(file.triangle)) == ("z", 1.0, 12)
+    np.testing.assert_allclose(np.ptp(file.vertex, axis=0), size, atol=1e-6)
+    assert np.abs(file.vertex_rgb.astype(int) - [204, 26, 51]).max() <= 2  # eight bits of linear light in between
+    assert examine(file, file.usual).open_edge_count == 0  # its faces meet
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: "solid", "got: StepFile : Undefined Parsing: Line"),
+        (lambda text: text[: len(text) // 2], "got: StepFile : Undefined Parsing: Line"),
+        (
+            lambda text: text.replace("FACETED_BREP_SHAPE_REPRESENTATION", "SHAPE_OF_NOTHING"),
+            "no shape that can be read",
+        ),
+    ],
+)
+def test_a_step_file_with_errors_is_refused_in_one_line(tmp_path, capfd, change, message):
+    pytest.importorskip("cascadio", reason="needs cascadio")
+    (tmp_path / "car.stp").write_text(change(step_of([0.0] * 3, [4500.0, 1800.0, 1500.0])))
+    with pytest.raises(InputError) as refused:
+        read_vehicle_file(tmp_path / "car.stp")
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("suffix", ["usda", "usdc", "usd", "usdz"])
 @pytest.mark.parametrize(("up", "metres"), [("Z", 1.0), ("Y", 0.01)])
 def test_the_embedded_car_survives_with_its_colours(tmp_path, suffix, up, metres):

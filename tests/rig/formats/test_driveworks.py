@@ -56,11 +56,10 @@ def test_f_theta_is_read_as_driveworks_projects_it(tmp_path, keys):
     given = dict(FTHETA)
     if keys == "bw-poly":  # older files
         given = {key: value for key, value in FTHETA.items() if "poly" not in key} | {"bw-poly": BACKWARD}
-    rig, notes = import_rig_with_notes(
-        file_of(tmp_path, given | (keys if isinstance(keys, dict) else {})), "driveworks"
-    )
+        keys = {}
+    rig, notes = import_rig_with_notes(file_of(tmp_path, given | keys), "driveworks")
     pixel, ray = rays_over(rig.cameras[0].model)
-    found = project(FTHETA | (keys if isinstance(keys, dict) else {}), ray)
+    found = project(FTHETA | keys, ray)
     (note,) = [note for note in notes if "off by at most" in note]
     off_px = float(note.split("at most ")[1].split()[0])
     assert off_px < 0.25
@@ -70,7 +69,7 @@ def test_f_theta_is_read_as_driveworks_projects_it(tmp_path, keys):
 
 FISHEYE = {"lens": "fisheye", "focal_px": (400.0, 401.0), "centre_px": (645.0, 470.0)}
 MODELS = {
-    "fisheye": wa.CameraModel(1280, 960, **FISHEYE, distortion=(0.02, -0.01, 0.0, 0.0)),
+    "fisheye": wa.CameraModel(1280, 960, **FISHEYE, distortion=(0.02, -0.001, 0.0, 0.0)),
     "equidistant": wa.CameraModel(1280, 960, math.radians(190.0), lens="fisheye"),
     "barrel": wa.CameraModel(640, 480, 1.2, lens="brown_conrady", distortion=(-0.2, 0.1, 0.0, 0.0, 0.01)),
 }
@@ -95,6 +94,9 @@ def test_a_lens_that_f_theta_only_comes_near_to_says_how_near(tmp_path):
     rig = wa.Rig([wa.Camera("a", np.array([1.0, 0, 1]), 0, 0, 0, model)])
     with pytest.raises(InputError, match=r"driveworks cannot represent a fisheye lens to better than .* px"):
         export_rig_with_notes(rig, "driveworks", tmp_path / "rig.json")
+    ends = wa.CameraModel(1280, 960, **FISHEYE, distortion=(0.02, -0.01, 0.0, 0.0))  # DriveWorks reads no such file
+    with pytest.raises(InputError, match="a lens that ends before the image's corners; choose another format"):
+        wa.export_rig(wa.Rig([wa.Camera("a", np.zeros(3), 0, 0, 0, ends)]), "driveworks", tmp_path / "rig.json")
     (path,), notes = export_rig_with_notes(rig, "driveworks", tmp_path / "rig.json", approximate=True)
     off_px = float(next(note for note in notes if "better than" in note).split("better than ")[1].split()[0])
     pixel, ray = rays_over(model)

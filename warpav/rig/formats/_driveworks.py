@@ -159,11 +159,14 @@ def _lens(camera: PlacedCamera, losses: Losses) -> dict[str, Any]:
         return {"Model": "pinhole", **shared, "fx": fx, "fy": fy, "distortion": _text(k1, k2, k3)}
     if not model.shape.is_by_angle:
         raise losses.unsupported(camera.name, f"the {model.lens} lens")
+    end_rad = max_angle_rad(model)
+    if (1.0 - 1e-9) * model.shape.limit <= end_rad < math.pi:
+        raise losses.unsupported(camera.name, "a lens that ends before the image's corners")
     k1, k2, *higher = model.shape.coefficients.tolist()
     if model.lens is Lens.FISHEYE and not any(higher):
         polynomial = np.array([1.0, 0.0, k1, 0.0, k2])
     else:
-        angle = np.linspace(0.0, max_angle_rad(model), _SAMPLES)
+        angle = np.linspace(0.0, end_rad, _SAMPLES)
         radius = model.shape.radius(angle)[0]
         basis = (angle[:, None] / angle[-1]) ** _POWERS
         scaled = np.linalg.lstsq(basis, radius, rcond=None)[0]
