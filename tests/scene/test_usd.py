@@ -7,8 +7,8 @@ from PIL import Image
 from warpav.core.errors import InputError
 from warpav.scene import Reading, ego_vehicle, examine, read_vehicle, read_vehicle_file
 
-pytest.importorskip("pxr", reason="needs usd-core")
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
+PARTS_OF_USD = ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdUtils", "Vt")
+Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt = (pytest.importorskip(f"pxr.{name}") for name in PARTS_OF_USD)
 
 BOX = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]  # outwards

@@ -11,8 +11,8 @@ from warpav.core.errors import InputError
 from warpav.rig import export_rig_with_notes
 from warpav.scene import ego_vehicle, read_vehicle
 
-pytest.importorskip("pxr", reason="needs usd-core")
-from pxr import Gf, Usd, UsdGeom
+PARTS_OF_USD = ("Gf", "Usd", "UsdGeom")
+Gf, Usd, UsdGeom = (pytest.importorskip(f"pxr.{name}") for name in PARTS_OF_USD)
 
 SHIFTED = {"focal_px": (1300.0, 1345.0), "centre_px": (810.0, 441.0)}
 MODELS = {
