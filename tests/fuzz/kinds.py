@@ -104,6 +104,7 @@ FORMATS = (
     "carla-python",
     "kitti",
     "alpasim",
+    "driveworks",
     "kalibr",
 )
 

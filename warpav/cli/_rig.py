@@ -80,7 +80,7 @@ def _rig_import(
 def _rig_export(
     rig: RigSource,
     /,
-    *,
+    *overrides: Overrides,
     format_name: FileFormat,
     out: Annotated[Path, Parameter(help="File or folder to write.")],
     origin_m: FileOrigin = None,
@@ -89,19 +89,31 @@ def _rig_export(
         bool, Parameter(help="Leave out what the format cannot hold, and say what.", negative="")
     ] = False,
     overwrite: Annotated[bool, Parameter(help="Replace files that are there.", negative="")] = False,
+    with_vehicle: Annotated[
+        bool, Parameter(help="usd: the vehicle as well, that of the run or of scenes.ego=.", negative="")
+    ] = False,
+    config: RigConfig = None,
 ) -> None:
     """Write a rig for another tool."""
+    from warpav.core.errors import ArgumentError
     from warpav.rig import export_rig_with_notes
-    from warpav.runs import rig_to_export
+    from warpav.runs import rig_to_export, rig_with_vehicle
 
+    placed, vehicle = None, None
+    if with_vehicle:
+        with of_rig(rig, config, overrides) as settings:
+            placed, vehicle = rig_with_vehicle(rig, settings)
+    elif overrides or config is not None:
+        raise ArgumentError("with_vehicle", "expected it beside options of a run, which say which vehicle; add it")
     files, notes = export_rig_with_notes(
-        rig_to_export(rig),
+        placed or rig_to_export(rig),
         format_name,
         out,
         origin_m=origin_m,
         origin_rpy_deg=origin_rpy_deg,
         approximate=approximate,
         overwrite=overwrite,
+        vehicle=vehicle,
     )
     for line in (*notes, *(f"wrote {file}" for file in files)):
         say(with_flags(line))

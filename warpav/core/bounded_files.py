@@ -222,6 +222,16 @@ def _header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype]:  # noqa: ANN
     return shape, is_fortran, dtype
 
 
+def usd_library(place: str = "USD") -> Any:  # noqa: ANN401
+    """The package pxr of the extra ``usd``, with its modules."""
+    try:
+        for name in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt"):
+            importlib.import_module(f"pxr.{name}")
+        return importlib.import_module("pxr")
+    except ImportError as error:
+        raise InputError(f"{place}: expected the package usd-core, got: {error}; {install_text('usd')}") from None
+
+
 def feather_library() -> tuple[Any, Any]:
     """The modules pyarrow and pyarrow.feather of the extra ``av2``."""
     try:

@@ -22,6 +22,7 @@ from warpav.runs._inspect import draw_plots as draw_plots
 from warpav.runs._inspect import inspect_rig as inspect_rig
 from warpav.runs._inspect import no_window_text as no_window_text
 from warpav.runs._inspect import render_rig as render_rig
+from warpav.runs._inspect import rig_with_vehicle as rig_with_vehicle
 from warpav.runs._inspect import serve_inspector as serve_inspector
 from warpav.runs._inspect import write_inspector_page as write_inspector_page
 from warpav.runs._inspect import write_mount_drawing as write_mount_drawing

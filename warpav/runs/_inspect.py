@@ -140,14 +140,19 @@ def _write_recording(source: str, config: Config, out: Path, shown: _Shown, requ
     return write_recording(out, run.rig, run.scene, frames=run.frames, loss=loss, device=device)
 
 
+def rig_with_vehicle(source: str, config: Config) -> tuple[Rig, Mesh]:
+    """The rig that ``source`` means on the vehicle of a configuration, and this vehicle; both in the ego frame."""
+    ego = first_scene(config).ego
+    return find_rig(source, config, ego), ego
+
+
 def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
     """Write the drawing by which a workshop mounts a rig; see `warpav.view.drawing._mount_drawing`."""
     from warpav.rig import BUILTIN, read_modules
     from warpav.view import check_out, mount_drawing
 
     check_out(out)
-    ego = first_scene(config).ego
-    rig = find_rig(source, config, ego)
+    rig, ego = rig_with_vehicle(source, config)
     modules = read_modules(config.rig.catalogue or BUILTIN)
     named = {"title": Path(source).name, "vehicle": vehicle_name(config)}
     return mount_drawing(rig, ego=ego, modules=modules, **named).save(out)

@@ -279,11 +279,16 @@ _SAME_M = 1e-3
 
 
 def part_names(path: str | Path, mesh: Mesh, *, forward: str | None = None) -> list[str] | None:
-    """Names of node, geometry and material of every triangle of a vehicle, each as one text; returns [triangle]."""
+    """Names of node, geometry and material of every triangle of a vehicle, each as one text; returns [triangle].
+
+    None where there are others than those of the file, and of formats that trimesh does not read.
+    """
     import trimesh
     from scipy.spatial import KDTree
 
     file = read_vehicle_file(file_of(path))
+    if file.path.suffix.lower().removeprefix(".") not in trimesh.available_formats():
+        return None
     loaded = trimesh.load_scene(file.path, process=False)
     names: list[str] = []
     for node in loaded.graph.nodes_geometry:

@@ -10,11 +10,15 @@ road users hold instance id, class and 3D box, and where it is known their veloc
 from __future__ import annotations
 
 import base64
+import importlib.util
 import json
 import logging
 import math
 import re
 import struct
+import subprocess
+import sys
+import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,7 +36,7 @@ from warpav.core.bounded_files import (
     parse_xml,
     read_bytes,
 )
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, install_text
 from warpav.core.files import atomic_write
 from warpav.core.records import Point2, Point3, Record, Word, read_record, unread, unread_text
 from warpav.raster.mesh import Mesh
@@ -232,6 +236,40 @@ _COMPONENT_COUNT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MA
 _GLB_HEAD = 20  # bytes before the JSON
 
 
+STEP_FORMATS = ("step", "stp")
+_STEP_S, _CHORD = 300.0, 0.005  # how far triangles are from a surface, in metres and radians
+_CONVERT = """
+import sys, cascadio
+glb = cascadio.to_glb_bytes(open(sys.argv[1], "rb").read(), tol_linear=float(sys.argv[3]), tol_angular=0.5)
+open(sys.argv[2], "wb").write(glb)
+"""
+
+
+def _step_as_glb(file: Path, place: str) -> bytes:
+    """A STEP file as triangles, in metres and its own axes.
+
+    Open CASCADE runs in a process of its own: it prints what is wrong, and a file may bring it down.
+    """
+    if importlib.util.find_spec("cascadio") is None:
+        raise InputError(f"{place}: expected the package cascadio, got none; {install_text('cad')}")
+    with tempfile.TemporaryDirectory(prefix="warpav-") as folder:
+        out = Path(folder) / "car.glb"
+        command = [sys.executable, "-c", _CONVERT, str(file.absolute()), str(out), str(_CHORD)]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=_STEP_S, check=False)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"it takes longer than {_STEP_S:g} s to read") from None
+        said = re.sub(r"\x1b\[[\d;]*m", "", (done.stdout + done.stderr).decode(errors="replace"))
+        wrong = re.search(r"\*+ ERR (.*?)\s*\**\n", said)
+        if wrong:
+            raise InputError(wrong[1])
+        if done.returncode or not out.is_file() or not out.stat().st_size:
+            raise InputError(
+                f"no shape that can be read ({' '.join(said.split())[-120:] or f'status {done.returncode}'})"
+            )
+        return read_bytes(out, "the triangles of a STEP file", bytes_max=DATA_SET_BYTES_MAX)
+
+
 def bounded_mesh(file: Path, suffix: str, place: str) -> tuple[bytes, list[str]]:
     """The content of a mesh file, once it is known to be within bounds, and what of it is not read.
 
@@ -249,6 +287,8 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> tuple[bytes, list[str]]
                 raise InputError(f"more than {_LINES_MAX:,} lines")
             if (suffix in ("obj", "off", "ply")) and max(map(len, lines)) > _LINE_BYTES_MAX:
                 raise InputError(f"a line of more than {_LINE_BYTES_MAX:,} characters")
+        if suffix in STEP_FORMATS:
+            content, suffix = _step_as_glb(file, place), "glb"
         if suffix == "dae":
             parse_xml(content, "", "COLLADA", nodes_max=DATA_SET_NODES_MAX)
         elif suffix == "gltf":
@@ -258,6 +298,8 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> tuple[bytes, list[str]]
             missed, changed = _checked_document(content[_GLB_HEAD:end], content[end:])
             content = changed or content
     except InputError as error:
+        if str(error).startswith(place):
+            raise
         raise InputError(f"{place}: expected {kind}, got: {error}; export it again") from None
     return content, missed
 

@@ -152,9 +152,13 @@ class Texture:
             return found
         value = found.astype(np.float64) / 255.0
         light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4) * self.linear_factor
-        value = np.clip(light, 0.0, 1.0)
-        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
-        return np.round(255.0 * value).astype(np.uint8)
+        return np.round(255.0 * srgb(light)).astype(np.uint8)
+
+
+def srgb(light: np.ndarray) -> np.ndarray:
+    """Linear light as sRGB, both 0 to 1, in any shape; what is beyond is cut off."""
+    value = np.clip(light, 0.0, 1.0)
+    return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
 
 
 def texture_of(geometry: Any, *, is_plain: bool = False) -> Texture | None:  # noqa: ANN401 (trimesh has few type hints)

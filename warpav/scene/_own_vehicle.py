@@ -17,7 +17,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene._glb import EGO_NODE, ENVIRONMENT_NODE, TRIANGLES_MAX, bounded_mesh, write_nodes
+from warpav.scene._glb import EGO_NODE, ENVIRONMENT_NODE, STEP_FORMATS, TRIANGLES_MAX, bounded_mesh, write_nodes
 from warpav.scene._mesh_colours import (
     VERTICES_MAX,
     FileFinder,
@@ -26,9 +26,11 @@ from warpav.scene._mesh_colours import (
     follow_textures,
     shaded,
     simulator_model,
+    srgb,
     texture_of,
     vertex_rgb,
 )
+from warpav.scene._usd import USD_FORMATS, read_stage
 from warpav.scene._vehicle_shape import ALIKE, Shape, Wheels, points_on, shape_of, wheels_of
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
 
 _SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
+FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off", *USD_FORMATS, *STEP_FORMATS)
 _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
 _STATED_LENGTH_M = (0.2, 40.0)
@@ -209,24 +211,32 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         )
     content, unread = bounded_mesh(path, suffix, f"{path}: vehicle")
     finder = FileFinder(path)
-    # glTF and COLLADA define their up axis; the other formats do not, so the ego frame is assumed
+    # glTF and COLLADA define their up axis; USD says it; the other formats do not: the ego frame
     usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
+    is_scene = is_own = False
     try:
-        if suffix == "dae":
-            up, metres = _collada_frame(path)
-            usual = usual.changed(up=up, scale=metres)
-        # the resolver has all that trimesh asks of one
-        source = trimesh.util.wrap_as_stream(content) if suffix == "glb" else path
-        file = trimesh.load_scene(source, suffix, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
-        nodes = [str(name) for name in file.graph.nodes_geometry]
-        is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
-        is_own = (file.metadata or {}).get("schema") == _SCHEMA
-        names = [name for name in nodes if not is_scene or name == EGO_NODE]
-        count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
-        if count > TRIANGLES_MAX:
-            raise ValueError(f"{count:,} triangles in all nodes, of at most {TRIANGLES_MAX:,}")
-        found = [(name, part) for name in names if (part := _part(file, name, finder)) is not None]
-        parts = [part for _, part in found]
+        if suffix in USD_FORMATS:
+            stage = read_stage(path)
+            found, usual, unread = stage.parts, Reading(stage.up, "x", stage.metres), stage.notes
+        else:
+            if suffix == "dae":
+                up, metres = _collada_frame(path)
+                usual = usual.changed(up=up, scale=metres)
+            # the resolver has all that trimesh asks of one
+            is_step = suffix in STEP_FORMATS  # which is a GLB by now
+            source = trimesh.util.wrap_as_stream(content) if is_step or suffix == "glb" else path
+            suffix = "glb" if is_step else suffix
+            file = trimesh.load_scene(source, suffix, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
+            nodes = [str(name) for name in file.graph.nodes_geometry]
+            is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
+            is_own = (file.metadata or {}).get("schema") == _SCHEMA
+            names = [name for name in nodes if not is_scene or name == EGO_NODE]
+            count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
+            if count > TRIANGLES_MAX:
+                raise ValueError(f"{count:,} triangles in all nodes, of at most {TRIANGLES_MAX:,}")
+            found = [(name, part) for name in names if (part := _part(file, name, finder)) is not None]
+            if is_step:  # its colours became linear light on the way
+                found = [(name, (replace(m, rgb=255.0 * srgb(m.rgb / 255.0)), None)) for name, (m, _) in found]
     except InputError:
         raise
     except Exception as error:
@@ -234,6 +244,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         raise InputError(
             f"{path}: vehicle: expected a readable {suffix} file, got: {reason}; export it again"
         ) from None
+    parts = [part for _, part in found]
     if not parts:
         raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
     notes = [*unread, *finder.notes]

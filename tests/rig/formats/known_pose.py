@@ -242,6 +242,33 @@ runtime:
     shutter_type: ROLLING_TOP_TO_BOTTOM
 """
 
+DRIVEWORKS = {
+    "rig": {
+        "sensors": [
+            {
+                "name": "front_left",
+                "nominalSensor2Rig_FLU": {"roll-pitch-yaw": [ROLL_DEG, PITCH_DEG, YAW_DEG], "t": [1.6, 0.5, 1.7]},
+                "correction_sensor_R_FLU": {"roll-pitch-yaw": [0.0, 0.0, 0.0]},
+                "correction_rig_T": [0.1, 0.0, -0.1],
+                "parameter": "camera-name=SF3325",
+                "properties": {
+                    "Model": "pinhole",
+                    "cx": "319.5",
+                    "cy": "239.5",
+                    "fx": "320.0",
+                    "fy": "320.0",
+                    "distortion": "0 0 0",
+                    "width": "640",
+                    "height": "480",
+                },
+                "protocol": "camera.gmsl",
+            },
+            {"name": "lidar:top", "protocol": "lidar.socket", "properties": {}},
+        ]
+    },
+    "version": 7,
+}
+
 
 def write_sample(name: str, folder: Path) -> Path:
     """Write the sample of a format into a folder, and return what a user would name."""
@@ -259,6 +286,7 @@ def write_sample(name: str, folder: Path) -> Path:
         "kitti": {"000000.txt": KITTI},
         "opencv": {"front_left.yml": OPENCV},
         "alpasim": {"alpasim.yaml": ALPASIM},
+        "driveworks": {"rig.json": json.dumps(DRIVEWORKS)},
         "kalibr": {"camchain.yaml": KALIBR},
     }[name]
     for file, text in texts.items():

@@ -33,7 +33,7 @@ from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, imp
 
 SIZED = ImportOptions(width_px=640, height_px=480)
 RIG = Rig([RigCamera("front_left", np.array(POSITION_M), YAW_RAD, PITCH_RAD, ROLL_RAD, CameraModel(640, 480))])
-EXACT = ["urdf", "autoware", "carla-ros-bridge", "carla-python"]
+EXACT = ["urdf", "autoware", "carla-ros-bridge", "carla-python", "driveworks"]
 ROUNDED = ["nuscenes", "kitti", "opencv", "alpasim", "kalibr"]  # their samples hold six decimals
 
 
@@ -518,6 +518,7 @@ UNKNOWN = {
         "      shift: 3\n      model: opencv_pinhole",
         "cameras.intrinsics.shift",
     ),
+    "driveworks": ('"parameter"', '"shutter": 1, "parameter"', "rig.sensors.shutter"),
     "kalibr": ("  resolution: [640, 480]", "  resolution: [640, 480]\n  T_BS: [1.0]", "cam0.T_BS"),
     "camera-info": ("image_width: 640", "image_width: 640\nvignette: 3", "vignette"),
 }

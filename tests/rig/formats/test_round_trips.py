@@ -142,7 +142,7 @@ def test_every_rig_says_which_formats_hold_it():
         assert {*fit, *unfit} == set(RIG_FORMATS) - {*IMPORTED_ONLY}
         assert all(name in reason for other, reason in unfit.items() if other != "argoverse2")
         fitting[name] = set(fit) - {"argoverse2"}
-    lenses = {"urdf", "autoware", "camera-info", "opencv", "alpasim"}
+    lenses = {"urdf", "autoware", "camera-info", "opencv", "alpasim", "usd", "driveworks"}
     assert fitting["plain"] == {*lenses, "nuscenes", "kitti", *CENTRED}
     assert fitting["calibrated"] == {*lenses, "nuscenes", "kitti"}
     assert fitting["barrel"] == fitting["fisheye"] == lenses

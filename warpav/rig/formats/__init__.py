@@ -11,7 +11,9 @@ RIG_FORMATS = {
     "kitti": "_data_sets",
     "opencv": "_calibration",
     "alpasim": "_alpasim",
+    "driveworks": "_driveworks",
     "kalibr": "_calibration",
+    "usd": "_usd",
 }
 """Where the formats are, by name; each module has its `RigFormat` rows in ``FORMATS``."""
-IMPORTED_ONLY, EXPORTED_ONLY = ("kalibr",), ("camera-info",)
+IMPORTED_ONLY, EXPORTED_ONLY = ("kalibr",), ("camera-info", "usd")

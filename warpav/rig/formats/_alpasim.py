@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -140,38 +141,59 @@ def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
     if None in size:
         raise values.error("resolution_hw beside intrinsics, because f-theta is fitted over the image", "none")
     linear = values.at("linear_cde")
-    c, d, e = (1.0, 0.0, 0.0) if linear.value is None else (linear.at(f"linear_{key}").number() for key in "cde")
-    if not 0.01 < c < 100.0:
+    cde = (1.0, 0.0, 0.0) if linear.value is None else tuple(linear.at(f"linear_{key}").number() for key in "cde")
+    if not 0.01 < cde[0] < 100.0:
         raise linear.at("linear_c").error("the proportions of a pixel, near 1")
-    cx, cy = values.at("principal_point").numbers(2)
-    unit = optics_of(values, c, 1.0, cx, cy, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
-    angle, radius_px, odd = _ftheta_curve(values, _farthest(unit))
+    kinds = {"angle_to_pixel": "angle_to_pixeldist", "pixel_to_angle": "pixeldist_to_angle"}
+    reference = values.at("reference_poly").one_of(kinds)
+    polynomial = values.at(kinds[reference])
+    numbers = polynomial.numbers(*range(2, 7))
+    curve = FTheta(polynomial, numbers, reference == "angle_to_pixel", cde, min(_stated_max_angle(values), math.pi))
+    optics = ftheta_optics(curve, values.at("principal_point").numbers(2), size, name, notes)
+    _check_max_angle(values, optics, name, notes)
+    return optics
+
+
+@dataclass(frozen=True)
+class FTheta:
+    """f-theta as NVIDIA's tools have it: ``place`` and numbers of a polynomial from angle [rad] to radius [px].
+
+    ``is_forward``: it is that, or the other way round; ``cde``: the pixel's proportions and skew; ``limit_rad``: the
+    angle from the axis at which it ends.
+    """
+
+    place: Record
+    numbers: list[float]
+    is_forward: bool
+    cde: tuple[float, ...]
+    limit_rad: float
+
+
+def ftheta_optics(curve: FTheta, centre_px: Sequence[float], size: _Size, name: str, notes: list[str]) -> Optics:
+    """The fisheye nearest to an f-theta lens, whose principal point counts from the first pixel's centre."""
+    c, d, e = curve.cde
+    unit = optics_of(curve.place, c, 1.0, *centre_px, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
+    angle, radius_px, odd = _ftheta_curve(curve, _farthest(unit))
     off_px = 0.0
     if odd is None:
         odd, off_px = _fitted_fisheye(angle, radius_px)
     off_px = off_px * max(1.0, c) + max(abs(d), abs(e)) * float(radius_px[-1])
     shape = _grown_fisheye(odd, float(angle[-1]))
     if shape is None:
-        raise values.error("f-theta that a fisheye with four coefficients comes near to", "another")
+        raise curve.place.error("f-theta that a fisheye with four coefficients comes near to", "another")
     if off_px:
         notes.append(f"camera {name!r}: f-theta is read as a fisheye, which is off by at most {off_px:.2g} px")
     focal_px = (c * float(odd[0]), float(odd[0]))
     lens = {"lens": Lens.FISHEYE, "distortion": shape.distortion, "off_px": off_px}
-    optics = Optics(*size, focal_px=focal_px, centre_px=unit.centre_px, **lens)
-    _check_max_angle(values, optics, name, notes)
-    return optics
+    return Optics(*size, focal_px=focal_px, centre_px=unit.centre_px, **lens)
 
 
-def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def _ftheta_curve(given: FTheta, farthest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Angles [rad] and radii [px] of an f-theta image; and its odd coefficients, where it has no others."""
-    limit = min(_stated_max_angle(values), math.pi)
-    kinds = {"angle_to_pixel": "angle_to_pixeldist", "pixel_to_angle": "pixeldist_to_angle"}
-    reference = values.at("reference_poly").one_of(kinds)
-    coefficients = values.at(kinds[reference])
-    numbers = np.array(coefficients.numbers(*range(2, 7)))
+    limit, is_forward, coefficients = given.limit_rad, given.is_forward, given.place
+    numbers = np.array(given.numbers)
     if numbers[0] != 0.0:
         raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
-    is_forward = reference == "angle_to_pixel"
     series = np.polynomial.Polynomial(numbers)
 
     def curve(last: float) -> tuple[np.ndarray, np.ndarray, int]:
@@ -212,10 +234,13 @@ def _stated_max_angle(values: Record) -> float:
     return angle.number(math.pi)
 
 
-def _optics_of(model: CameraModel) -> Optics:
+def max_angle_rad(model: CameraModel) -> float:
+    """Angle from the axis at the farthest corner of an image or the lens's end [rad]; of Brown-Conrady its tangent."""
     (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
     size = (model.width_px, model.height_px)
-    return Optics(*size, focal_px=(fx, fy), centre_px=(cx, cy), lens=model.lens, distortion=model.distortion)
+    return _max_angle(
+        Optics(*size, focal_px=(fx, fy), centre_px=(cx, cy), lens=model.lens, distortion=model.distortion)
+    )
 
 
 def _max_angle(optics: Optics) -> float:
@@ -291,10 +316,10 @@ def _intrinsics(camera: PlacedCamera, losses: Losses) -> dict[str, Any]:
         own = {"radial": (k1, k2, k3, k4, k5, k6), "tangential": (p1, p2), "thin_prism": (0.0,) * 4}
     elif model.shape.is_by_angle:
         kind = "opencv_fisheye"
-        growth, shape, max_angle_rad = _as_fisheye(camera, losses)
+        growth, shape, end_rad = _as_fisheye(camera, losses)
         fx, fy = fx * growth, fy * growth
         own = {"radial": tuple(shape.coefficients[:4].tolist())}
-        end = {"max_angle": yaml_number(max_angle_rad)}
+        end = {"max_angle": yaml_number(end_rad)}
     else:
         raise losses.unsupported(camera.name, f"the {model.lens} lens")
     numbers = {"focal_length": (fx, fy), "principal_point": (cx, cy), **own}
@@ -304,13 +329,13 @@ def _intrinsics(camera: PlacedCamera, losses: Losses) -> dict[str, Any]:
 def _as_fisheye(camera: PlacedCamera, losses: Losses) -> tuple[float, LensShape, float]:
     """How much longer the focal length of the fisheye with this image is, its lens, and where it ends [rad]."""
     model = camera.model
-    max_angle_rad = _max_angle(_optics_of(model))
+    end_rad = max_angle_rad(model)
     if model.lens is Lens.FISHEYE:
-        return 1.0, model.shape, max_angle_rad
-    angle = np.linspace(0.0, max_angle_rad, _SAMPLES)
+        return 1.0, model.shape, end_rad
+    angle = np.linspace(0.0, end_rad, _SAMPLES)
     odd, off = _fitted_fisheye(angle, model.shape.radius(angle)[0])
     off_px = off * float(model.intrinsics.diagonal()[:2].max())
-    shape = _grown_fisheye(odd, max_angle_rad)
+    shape = _grown_fisheye(odd, end_rad)
     if shape is None or off_px >= WRITE_PX:
         raise losses.unsupported(
             camera.name, f"this {model.lens} lens, from which its nearest fisheye is off by {off_px:.2g} px"
@@ -318,7 +343,7 @@ def _as_fisheye(camera: PlacedCamera, losses: Losses) -> tuple[float, LensShape,
     losses.notes.append(
         f"camera {camera.name!r}: {model.lens} is written as a fisheye, which is off by at most {off_px:.1g} px"
     )
-    return float(odd[0]), shape, max_angle_rad
+    return float(odd[0]), shape, end_rad
 
 
 def _note_empty_parts(camera: PlacedCamera, losses: Losses) -> None:
@@ -326,7 +351,7 @@ def _note_empty_parts(camera: PlacedCamera, losses: Losses) -> None:
     shape = camera.model.shape
     if not any(shape.distortion):
         return
-    tangent = np.linspace(0.0, _max_angle(_optics_of(camera.model)), _SAMPLES)[1:]
+    tangent = np.linspace(0.0, max_angle_rad(camera.model), _SAMPLES)[1:]
     factor = shape.radius(tangent)[0] / tangent
     low, high = _RADIAL_FACTOR
     out = (factor <= low) | (factor >= high)

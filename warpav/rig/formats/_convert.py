@@ -22,6 +22,7 @@ from warpav.core.files import atomic_write, writing
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.core.records import nearest
 from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh
 from warpav.rig._check import FAR_M, folded_lenses, mirrored_cameras
 from warpav.rig._rig import Rig, RigCamera
 from warpav.rig.formats import IMPORTED_ONLY, RIG_FORMATS
@@ -64,6 +65,7 @@ class _ExportOptions:
     origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     approximate: bool = False
     overwrite: bool = False
+    vehicle: Mesh | None = None
 
 
 def find_format(name: str) -> RigFormat:
@@ -143,6 +145,8 @@ def import_rig_with_notes(
     options = options or ImportOptions()
     file = Path(path).expanduser()
     form = find_format(format_name)
+    if form.read is None and form.files:
+        raise ArgumentError("format_name", f"{form.name} is for export only; import the rig of which it was made")
     if form.read is None:
         raise InputError(
             f"{file}: {form.name}: expected a format with camera poses, got one without; import the file that has "
@@ -198,6 +202,7 @@ def export_rig(
     origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
     approximate: bool = False,
     overwrite: bool = False,
+    vehicle: Mesh | None = None,
 ) -> list[Path]:
     """Write a rig for another tool, and return the files.
 
@@ -209,12 +214,14 @@ def export_rig(
         origin_rpy_deg: Roll, pitch and yaw of the file's axes in the ego frame [deg], about fixed axes.
         approximate: Drop what the format cannot represent instead of raising an error.
         overwrite: Replace existing files.
+        vehicle: What carries the rig, in the ego frame, to be in the file as well, where the format holds one (usd).
 
     Raises:
         InputError: The format cannot represent the rig, a file exists already, or cannot be written.
     """
     place = {"origin_m": origin_m, "origin_rpy_deg": origin_rpy_deg}
-    return export_rig_with_notes(rig, format_name, target, **place, approximate=approximate, overwrite=overwrite)[0]
+    others = {"approximate": approximate, "overwrite": overwrite, "vehicle": vehicle}
+    return export_rig_with_notes(rig, format_name, target, **place, **others)[0]
 
 
 def export_rig_with_notes(
@@ -255,7 +262,12 @@ def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(_placement(options.origin_m, options.origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
-    return form.written(placed, target, losses)
+    if options.vehicle is None:
+        return form.written(placed, target, losses)
+    if not form.holds_vehicle:
+        raise ArgumentError("with_vehicle", f"expected the format usd, {form.name} holds cameras alone; leave it out")
+    vehicle = options.vehicle.transformed(file_from_ego[:3, :3], file_from_ego[:3, 3])
+    return form.written(placed, target, losses, vehicle)
 
 
 def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:

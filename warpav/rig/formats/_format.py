@@ -26,6 +26,7 @@ from warpav.core.records import nearest, place_of, unread_text
 from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens
+from warpav.raster.mesh import Mesh
 
 _ROTATION_TOLERANCE = 1e-3  # files round to four decimals
 
@@ -308,6 +309,7 @@ class RigFormat:
         read: Of a path, and of a part of it where ``parts`` says what that is.
         write: Of cameras, a path and `Losses`; of one camera and these losses where every camera has a file of its own.
             Returns what is to be written.
+        holds_vehicle: Whether ``write`` takes ``vehicle`` too, a mesh or None.
     """
 
     name: str
@@ -321,6 +323,7 @@ class RigFormat:
     parts: str | None = None
     mirrored_hint: str = "is the file left-handed?"
     note: str = ""
+    holds_vehicle: bool = False
 
     def found(self, path: Path, part: str | None) -> Found:
         """What is in a file or folder."""
@@ -328,8 +331,10 @@ class RigFormat:
         path = path / self.files[0] if len(self.files) == 1 and path.is_dir() else path
         return self.read(path) if self.parts is None else self.read(path, part)
 
-    def written(self, cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-        """The files of cameras for a target, and what is to be in them."""
+    def written(
+        self, cameras: Sequence[PlacedCamera], target: Path, losses: Losses, vehicle: Mesh | None = None
+    ) -> dict[Path, bytes]:
+        """The files of cameras, and of the vehicle in the file's frame, for a target, and what is to be in them."""
         assert self.write is not None
         losses.notes += [self.note] if self.note else []
         is_file = target.suffix.lower() in self.suffixes and not target.is_dir()
@@ -345,7 +350,8 @@ class RigFormat:
         if others and is_file:
             names = " and ".join(self.files)
             raise InputError(f"{target}: {self.name}: expected a folder for {names}, got a file's name")
-        return self.write(cameras, target if is_file or others else target / first, losses)
+        more = {"vehicle": vehicle} if self.holds_vehicle else {}
+        return self.write(cameras, target if is_file or others else target / first, losses, **more)
 
 
 def transform_of_link(
