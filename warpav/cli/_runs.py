@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -146,6 +147,24 @@ def evaluate(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
         )
         (show_everything if verbose else show_run)(display.console, found)
+
+
+def compare(
+    rig: RigSource,
+    other: RigSource,
+    /,
+    *further: Annotated[str, Parameter(help="A third rig, and key=value, such as scenes.test_seeds=1000..1029.")],
+    out: Annotated[Path, Parameter(help="HTML file to write: a page that stands alone, to be sent to others.")],
+    config: RigConfig = None,
+) -> None:
+    """Compare two or three rigs on the same unseen scenes, side by side on one page."""
+    from warpav.runs import RunDisplay, compare_rigs
+
+    sources = [rig, other, *(each for each in further if "=" not in each)]
+    overrides = [each for each in further if "=" in each]
+    again = shlex.join(["warpav", "compare", *sources, "--out", out.name, *overrides])
+    with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
+        say(f"wrote {compare_rigs(sources, settings, out, again=again, progress=display)}")
 
 
 def render(
