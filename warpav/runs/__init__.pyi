@@ -1,5 +1,6 @@
 """What others use of this package; it is imported when it is first used."""
 
+from warpav.runs._check import check_rig_page as check_rig_page
 from warpav.runs._detector_check import check_detector as check_detector
 from warpav.runs._detector_fit import fit as fit
 from warpav.runs._detector_fit import fit_detector as fit_detector

@@ -545,9 +545,9 @@ _RULES = {
 }
 
 
-def rule_table(evaluation: RigEvaluation) -> Table | None:
-    """What the rules ask for, and what the first rig and the one that it is compared with have."""
-    names, rules = (evaluation.first, compared_with(evaluation)), evaluation.rules or {}
+def rule_table(evaluation: RigEvaluation, arms: Iterable[str | None] | None = None) -> Table | None:
+    """What the rules ask for, and what some rigs have; by default the first and the one that it is compared with."""
+    names, rules = arms or (evaluation.first, compared_with(evaluation)), evaluation.rules or {}
     known = {name: rules[name] for name in names if name is not None and rules.get(name)}
     if evaluation.first not in known:
         return None

@@ -115,11 +115,11 @@ def write_comparison(run: RunContent, figures: Mapping[str, io.BytesIO], out: Pa
         name: _PageImage(_COMPARED[name], *image)
         for name, image in zip(figures, _images(list(figures.values())), strict=True)
     }
-    alone, listed = _alone(evaluation)
+    alone, listed = _alone(evaluation, words.objects_name(run))
     tables = {
         "groups": evaluation.group_table(),
         "near": evaluation.requirement_table(),
-        "rules": words.rule_table(evaluation),
+        "rules": words.rule_table(evaluation, evaluation.arms),
         "alone": alone,
         "listed_alone": listed,
     }
@@ -139,7 +139,26 @@ def write_comparison(run: RunContent, figures: Mapping[str, io.BytesIO], out: Pa
     return out
 
 
-def _alone(evaluation: RigEvaluation) -> tuple[Table, Table | None]:
+def write_check(rig: str, items: Sequence[Any], figures: Mapping[str, io.BytesIO], out: Path) -> Path:
+    """Write the page of a rig that is checked, from what was checked and figures by name."""
+    images = zip(figures, _images(list(figures.values())), strict=True)
+    judged = [each for each in items if each.is_kept is not None]
+    failed = [each.about for each in judged if each.is_hard and not each.is_kept]
+    missed = sum(not each.is_hard and not each.is_kept for each in judged)
+    text = f"{len(failed)} of {len(judged)} fail: {'; '.join(failed)}." if failed else f"{len(judged)} were checked."
+    text += f" {missed} with a weight {'is' if missed == 1 else 'are'} not met." if missed else ""
+    page = _template("check").render(
+        rig=rig,
+        headline=words.Statement("FAIL" if failed else "PASS", text, "bad" if failed else "good"),
+        items=items,
+        pictures=[_PageImage(_FIGURES[name], *image) for name, image in images],
+    )
+    with writing(out), atomic_write(out) as draft:
+        draft.write_text(page, encoding="utf-8", errors="backslashreplace")
+    return out
+
+
+def _alone(evaluation: RigEvaluation, objects: str) -> tuple[Table, Table | None]:
     """How many road users one rig alone finds, in all and by class and sector, and which they are."""
     counts = {name: Counter[str]() for name in evaluation.arms}
     rows = []
@@ -154,7 +173,7 @@ def _alone(evaluation: RigEvaluation) -> tuple[Table, Table | None]:
     categories = sorted({seen.category for seen in evaluation.objects})
     groups = [each for each in ("all", *categories, *SECTORS) if any(count[each] for count in counts.values())]
     table = Table(
-        (f"of {len(evaluation.objects)} road users found by one alone", *evaluation.arms),
+        (f"of {len(evaluation.objects)} {objects} found by one alone", *evaluation.arms),
         tuple((group, *(str(count[group]) for count in counts.values())) for group in groups or ["all"]),
     )
     columns = ("scene", "class", "distance [m]", "bearing [°]", "sector", "found by", "to the others")

@@ -140,7 +140,9 @@ def found_alone_figure(rigs: Mapping[str, Rig], ego: Mesh, place_m: Mapping[str,
         area_m2 = [grounds[0].area_m2(alone == k) for k in range(len(rigs))]
         panels[0].set_xlabel(", ".join(f"{name} {area:.1f} m²" for name, area in zip(rigs, area_m2, strict=True)))
         for name, each in place_m.items():
-            panels[1].scatter(each[:, 1], each[:, 0], s=22, color=colours[name], edgecolors="white", zorder=6)
+            panels[1].scatter(
+                each[:, 1], each[:, 0], s=70, alpha=0.8, color=colours[name], edgecolors="white", zorder=6
+            )
         panels[1].set_xlabel(", ".join(f"{name} {len(each)}" for name, each in place_m.items()))
         write_key(key, {what: [Patch(color=rgb, label=n) for n, rgb in of.items()] for what, of in keys.items()})
     return panels[0].figure
