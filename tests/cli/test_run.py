@@ -3,9 +3,11 @@
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.cli.small_run import SMALL
 from warpav.cli.app import main
@@ -110,6 +112,50 @@ def test_rigs_beside_the_first_are_measured_on_the_same_scenes(run_folder, worki
     assert set(found["paired"]) == {"mine", "nuscenes", "a/mine.yaml"}
     assert list(found["constraints"]) == ["highest"]
     assert "no interval can exclude 0" in capsys.readouterr().out
+
+
+def test_compare_says_who_misses_least_and_that_a_rig_is_no_better_than_itself(run_folder, working_directory, capsys):
+    few = ["scenes.train_seeds=[0]", "scenes.test_seeds=1000..1005", "run.batch_size=1", "run.pictures=none"]
+    rig = yaml.safe_load(run_folder.rig_file().read_text())
+    Path("mine.yaml").write_text(yaml.safe_dump(rig))
+    Path("same.yaml").write_text(yaml.safe_dump(rig))
+    for camera in rig["cameras"]:
+        camera["pitch_deg"] = -80.0  # it sees the sky
+    Path("up.yaml").write_text(yaml.safe_dump(rig))
+    assert main(["compare", "mine.yaml", "same.yaml", "up.yaml", *few, "--out", "page.html"]) == 0
+    page = Path("page.html").read_text()
+    headline = re.search(r'class="headline[^>]*>(.*?)</p>', page, re.DOTALL)[1]
+    assert re.match(r"mine misses fewest, .* in 6 unseen scenes", headline)
+    of_itself, of_up = re.findall(r"(\S+ \[\S+, \S+\] fewer than \w+ \([^)]*)\)", headline)
+    assert of_itself == "+0.0 [+0.0, +0.0] fewer than same (not told apart, as the 95\xa0% interval includes 0"
+    assert of_up.endswith("than up (told apart")
+    assert not re.search(r"(?:src|href)=.https?:", page)
+    assert len(page) < 8e6
+    capsys.readouterr()
+    for words in (["mine.yaml", "mine.yaml"], ["mine.yaml", "run.batch_size=1"], [*("abcd")]):
+        assert main(["compare", *words, "--out", "no.html"]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert main(["compare", "mine.yaml", "up.yaml", "--out", "no.png"]) == 2
+    seen = ["scenes.train_seeds=[5]", "scenes.test_seeds=[1]", "run.batch_size=1"]
+    assert main(["compare", "up.yaml", str(run_folder.path), *seen, "--out", "no.html"]) == 2
+    assert "expected scenes that no run has searched on, got 1 of" in capsys.readouterr().err
+    assert not list(Path().glob("no.*"))
+
+
+@pytest.mark.parametrize(("pitch_deg", "status"), [(0.0, 0), (60.0, 1)])
+def test_check_fails_a_rig_whose_images_have_no_horizon(pitch_deg, status, working_directory, capsys):
+    """Half of a level camera's image is above the horizon; one that looks down by more than half its view has none."""
+    place = {"position_m": [1.8, 0.0, 1.8], "yaw_deg": 0.0, "roll_deg": 0.0}
+    camera = {"name": "front", **place, "pitch_deg": pitch_deg, "fov_deg": 60.0, "width_px": 64, "height_px": 64}
+    Path("one.yaml").write_text(yaml.safe_dump({"frame": "ego", "cameras": [camera]}))
+    assert main(["check", "one.yaml", "--out", "check.html"]) == status
+    page = Path("check.html").read_text()
+    row = re.search(r"<tr>(?:(?!</tr>).)*Horizon below.*?</tr>", page, re.DOTALL)[0]
+    assert ("FAIL" in row, "pass" in row) == (status == 1, status == 0)
+    assert status == 1 or ("50% (front)" in row and "+40%" in row)
+    assert ("FAIL Horizon" in capsys.readouterr().out) == (status == 1)
+    assert main(["check", "one.yaml", "--requirements", "nothing", "--out", "no.html"]) == 2
+    assert not Path("no.html").exists()
 
 
 def test_evaluating_says_what_dirt_and_loads_cost(working_directory, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -146,6 +147,50 @@ def evaluate(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
         )
         (show_everything if verbose else show_run)(display.console, found)
+
+
+def compare(
+    rig: RigSource,
+    other: RigSource,
+    /,
+    *further: Annotated[str, Parameter(help="A third rig, and key=value, such as scenes.test_seeds=1000..1029.")],
+    out: Annotated[Path, Parameter(help="HTML file to write: a page that stands alone, to be sent to others.")],
+    config: RigConfig = None,
+) -> None:
+    """Compare two or three rigs on the same unseen scenes, side by side on one page."""
+    from warpav.runs import RunDisplay, compare_rigs
+
+    further = (other, *further)
+    sources = [rig, *(each for each in further if "=" not in each)]
+    overrides = [each for each in further if "=" in each]
+    again = shlex.join(["warpav", "compare", *sources, "--out", out.name, *overrides])
+    with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
+        say(f"wrote {compare_rigs(sources, settings, out, again=again, progress=display)}")
+
+
+def check(
+    rig: RigSource,
+    /,
+    *overrides: Overrides,
+    requirements: Annotated[
+        str, Parameter(help="YAML file, or a template: near_field, r46_like, r158_like, r159_like.")
+    ] = "near_field",
+    out: Annotated[Path, Parameter(help="HTML file to write.")] = Path("check.html"),
+    config: RigConfig = None,
+) -> int:
+    """Check whether a rig is all right: requirements and design rules with margins, on one page.
+
+    Status 1 where a hard requirement or a design rule is broken.
+    """
+    from warpav.runs import check_rig_page
+
+    with of_rig(rig, config, overrides) as settings:
+        file, items = check_rig_page(rig, settings, requirements=requirements, out=out)
+    failed = [each for each in items if each.is_kept is False and each.is_hard]
+    for each in failed:
+        say(f"FAIL {each.about}: {each.found}, asked {each.asked}")
+    say(f"{'FAIL' if failed else 'PASS'}: wrote {file}")
+    return 1 if failed else 0
 
 
 def render(

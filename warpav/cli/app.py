@@ -26,7 +26,7 @@ from warpav.cli._checks import bench, config_app, doctor, modules_app
 from warpav.cli._detector import detector_app, dev_detector_app
 from warpav.cli._experiment import experiment_app
 from warpav.cli._rig import rig_app
-from warpav.cli._runs import evaluate, front, inspect, optimise, plot, render, report, view
+from warpav.cli._runs import check, compare, evaluate, front, inspect, optimise, plot, render, report, view
 from warpav.cli._scenes import dev_scenes_app, scenes_app
 from warpav.cli._vehicle import vehicle_app
 from warpav.core.cores import own_share, take_share
@@ -51,7 +51,7 @@ _dev_app.command(bench)
 for _app in (experiment_app, dev_detector_app, dev_scenes_app):
     _dev_app.command(_app)
 _GROUPS = {
-    "Start": (optimise, evaluate, report, front),
+    "Start": (optimise, evaluate, compare, check, report, front),
     "Look": (inspect, view, plot, render),
     "Inputs": (scenes_app, rig_app, vehicle_app, modules_app, detector_app, config_app),
     "Machine": (doctor, _dev_app),

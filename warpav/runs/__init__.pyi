@@ -1,5 +1,6 @@
 """What others use of this package; it is imported when it is first used."""
 
+from warpav.runs._check import check_rig_page as check_rig_page
 from warpav.runs._detector_check import check_detector as check_detector
 from warpav.runs._detector_fit import fit as fit
 from warpav.runs._detector_fit import fit_detector as fit_detector
@@ -26,6 +27,7 @@ from warpav.runs._inspect import rig_with_vehicle as rig_with_vehicle
 from warpav.runs._inspect import serve_inspector as serve_inspector
 from warpav.runs._inspect import write_inspector_page as write_inspector_page
 from warpav.runs._inspect import write_mount_drawing as write_mount_drawing
+from warpav.runs._jobs import compare_rigs as compare_rigs
 from warpav.runs._jobs import measure_rig as measure_rig
 from warpav.runs._jobs import optimise_rig as optimise_rig
 from warpav.runs._jobs import posed_otherwise as posed_otherwise

@@ -22,11 +22,14 @@ from warpav.runs._optimise import Optimisation, kept_drawing
 from warpav.runs._placement import Placement
 from warpav.runs._progress import shown_progress
 from warpav.runs._result import Result, StageTimer, complete_folder
+from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipped
+from warpav.runs._run_figures import comparison_figures
 from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.report._content import RunContent, read_content, read_evaluation
+from warpav.runs.report.report import write_comparison
 from warpav.runs.robustness import load_states_of, soiling_of
 
 _CHECKPOINT_EVERY = 10
@@ -248,11 +251,7 @@ def measure_rig(
             raise ArgumentError(option, f"{error.text}; {remedy}") from None
     name, *others = names
     rigs = {name: rig, **{other: _rig_to_measure(names[other], placement, progress) for other in others}}
-    pairing_rig: dict[str, Rig | None] = dict(rigs)  # that of a run is the rig its search began with
-    for other in (other for other, each in names.items() if is_run_folder(each)):
-        is_ordered = placement.has_ordered_start
-        pairing_rig[other] = placement.frozen_rig if is_ordered else RunFolder.open(names[other]).rig("initial")
-    found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
+    found = _measured_beside(rigs, names, placement, progress)
     measured: dict[str, Any] = {"constraints": {name: placement.objective.constraints.margins(rig)}}
     measured["rules"] = rule_margins(rigs, placement, run)
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
@@ -265,6 +264,47 @@ def measure_rig(
         write_json(json_file, {"schema": EVALUATION_SCHEMA, **evaluation.to_json()})
         progress.say(f"wrote {json_file}")
     return RunContent(evaluation=evaluation.model_copy(update={"outcomes": None}), config=config)
+
+
+def _measured_beside(
+    rigs: Mapping[str, Rig], names: Mapping[str, str], placement: Placement, progress: Progress
+) -> RigEvaluation:
+    pairing_rig: dict[str, Rig | None] = dict(rigs)  # that of a run is the rig its search began with
+    for name in (name for name, source in names.items() if is_run_folder(source)):
+        is_ordered = placement.has_ordered_start
+        pairing_rig[name] = placement.frozen_rig if is_ordered else RunFolder.open(names[name]).rig("initial")
+    return evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
+
+
+def compare_rigs(sources: Sequence[str], config: Config, out: Path, *, again: str, progress: Progress) -> Path:
+    """Write a page that stands alone with two or three rigs side by side, on the same test scenes."""
+    if not 2 <= len(sources) <= 3 or len(set(sources)) < len(sources):
+        raise InputError(f"command line: expected two or three different rigs, got {' '.join(sources)}")
+    if out.suffix.lower() != ".html":
+        raise ArgumentError("out", f"expected a page to write, such as page.html, got {str(out)!r}")
+    if not out.absolute().parent.is_dir():
+        raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    names = arm_names(sources[0], sources[1:])
+    if "optimised" in names:  # beside others a run is called by its folder
+        own = Path(sources[0]).absolute().name
+        names = {(sources[0] if own in names else own): sources[0], **dict(list(names.items())[1:])}
+    for source in filter(is_run_folder, sources):
+        searched = RunFolder.open(source).config().scenes
+        known = {*searched.train_seeds, *(searched.validation_seeds or ())} & {*config.scenes.test_seeds}
+        if searched.source == config.scenes.source and known:
+            raise OptionError(
+                "scenes.test_seeds", f"expected scenes that no run has searched on, got {min(known)} of {source}"
+            )
+    placement = Placement.from_config(config).prepare(progress)
+    rigs = {name: _rig_to_measure(source, placement, progress) for name, source in names.items()}
+    found = _measured_beside(rigs, names, placement, progress).compared()
+    evaluation = found.model_copy(update={"rules": rule_margins(rigs, placement)})
+    return write_comparison(
+        RunContent(evaluation=evaluation, config=config),
+        comparison_figures(evaluation, placement, progress),
+        out,
+        again,
+    )
 
 
 def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:

@@ -97,6 +97,12 @@ class _SeenObject:
     seen_by: dict[str, tuple[str, ...]] = field(default_factory=dict)
     detected_by: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
+    @property
+    def found_alone_by(self) -> str | None:
+        """The rig that detects it where no other of several does."""
+        found = [name for name, outcome in self.outcome.items() if outcome == ObjectOutcome.DETECTED]
+        return found[0] if len(found) == 1 < len(self.outcome) else None
+
     def to_json(self) -> dict[str, Any]:
         """As ``evaluation.json`` has it."""
         place = {"distance_m": round(self.distance_m, 3), "bearing_deg": round(self.bearing_deg, 2)}

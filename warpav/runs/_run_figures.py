@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import io
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,12 +26,25 @@ from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._run_folder import RunFolder
 from warpav.runs.report._content import read_evaluation
 from warpav.runs.report.report import SHOWN_SCENES
-from warpav.view import Canvas, detections_sheet, drawing_of, load_pyvista, opengl_problem, plot, render_rgb, save_rgb
+from warpav.sight import Body
+from warpav.view import (
+    Canvas,
+    detections_sheet,
+    drawing_of,
+    figure_bytes,
+    found_alone_figure,
+    load_pyvista,
+    opengl_problem,
+    plot,
+    render_rgb,
+    save_rgb,
+)
 
 if TYPE_CHECKING:
     from warpav.detection import DetectionProbability
     from warpav.optimisation import AssignedScene, CameraObservation
     from warpav.raster.camera import CameraModel
+    from warpav.raster.mesh import Mesh
     from warpav.scene import Scene
 
 GROUND_SCENES = 10
@@ -138,12 +152,8 @@ class RunPictures:
 
     def _draw_rig(self) -> None:
         """Start and result on the vehicle in the first test scene, side by side."""
-        images = []
-        for name, rig in self._drawn.rigs.items():
-            canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
-            path_m = trajectory(self._drawn.events) if rig is self.found else None
-            with contextlib.closing(drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m)) as plotter:
-                images.append(render_rgb(plotter))
+        drawn = self._drawn
+        images = rig_images(drawn.rigs, self.scene, {id(self.found): trajectory(drawn.events)})
         save_rgb(np.hstack(images), self.folder.figure_path("rig"))
 
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
@@ -166,3 +176,50 @@ class RunPictures:
         size = model.width_px, model.height_px
         alike = [each for camera, each in known if (camera.width_px, camera.height_px) == size]
         return [*(each for camera, each in known if camera == model), *alike][0]
+
+
+def rig_images(
+    rigs: Mapping[str, Rig], scene: Scene, trajectory_of: Mapping[int, Any] | None = None
+) -> list[np.ndarray]:
+    """Rigs on the vehicle in a scene, as images of one size."""
+    images = []
+    for name, rig in rigs.items():
+        canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
+        path_m = (trajectory_of or {}).get(id(rig))
+        with contextlib.closing(drawing_of(rig, canvas, scene=scene, trajectory_m=path_m)) as plotter:
+            images.append(render_rgb(plotter))
+    return images
+
+
+def comparison_figures(evaluation: RigEvaluation, placement: Placement, progress: Progress) -> dict[str, io.BytesIO]:
+    """Figures of rigs side by side, as PNG."""
+    from PIL import Image
+
+    rigs, ego, canvas = evaluation.rigs, placement.ego, Canvas(off_screen=True)
+    figures = {"alone": found_alone_figure(rigs, ego, _places_found_alone(evaluation, ego))}
+    figures |= {kind: drawing_of(rigs, canvas, kind=kind, ego=ego) for kind in ("ground", "plan")}
+    for kind in ("recall", "differences"):
+        with contextlib.suppress(ArgumentError):  # too few objects or scenes
+            figures[kind] = drawing_of(evaluation, canvas, kind=kind)
+    files = {name: io.BytesIO(figure_bytes(figure, ".png")) for name, figure in figures.items()}
+    problem = opengl_problem()
+    if problem is not None:
+        progress.say(f"no picture of the rigs in three dimensions: {problem}")
+        return files
+    files["rig"] = io.BytesIO()
+    Image.fromarray(np.hstack(rig_images(rigs, placement.shown))).save(files["rig"], "PNG")
+    files["rig"].seek(0)
+    return files
+
+
+def _places_found_alone(evaluation: RigEvaluation, ego: Mesh) -> dict[str, np.ndarray]:
+    """Where road users stand that a rig alone finds, x and y [m] in the ego frame [object, 2], by rig."""
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in evaluation.arms}
+    for seen in evaluation.objects:
+        if seen.found_alone_by is not None:
+            bearing_rad = np.radians(seen.bearing_deg)
+            found[seen.found_alone_by].append(
+                (np.cos(bearing_rad) * seen.distance_m, np.sin(bearing_rad) * seen.distance_m)
+            )
+    middle_m = Body.of(ego).centre_m
+    return {name: np.array(each).reshape(-1, 2) + middle_m for name, each in found.items()}

@@ -52,6 +52,7 @@ from warpav.view.figures._images import contact_sheet as contact_sheet
 from warpav.view.figures._images import detections_sheet as detections_sheet
 from warpav.view.figures._images import image_types as image_types
 from warpav.view.figures._images import own_body_tinted as own_body_tinted
+from warpav.view.figures._plan import found_alone_figure as found_alone_figure
 from warpav.view.figures._rigs import OptimisedRig as OptimisedRig
 from warpav.view.figures._rigs import before_and_after as before_and_after
 from warpav.view.figures._rigs import heat_maps as heat_maps

@@ -122,6 +122,34 @@ def headline(run: RunContent) -> Statement:
     return Statement(about, f"{text}.", "bad" if worse else tone)
 
 
+def verdict(run: RunContent) -> Statement:
+    """Rigs side by side in one sentence: which misses least, by how much, and whether that is told apart."""
+    evaluation = run.evaluation
+    assert evaluation is not None
+    missed = {name: each for name, each in evaluation.misses.items() if each is not None}
+    scenes, objects = _counted(evaluation.scene_count, "unseen scene"), objects_name(run)
+    if not missed:
+        return Statement("", f"No {objects_name(run, 1)} in {scenes}.", "bad")
+    best = min(missed, key=lambda name: missed[name])
+    rate = 0.5 if run.config is None else run.config.evaluation.false_alarms_per_image
+    at = f"of 100 {objects} in {scenes} at {rate:g} false alarms an image"
+    parts, tones = [], set[str]()
+    for other in (name for name in missed if name != best):
+        found = evaluation.difference(best, other)
+        tone = tone_of(found, lower_is_better=True)
+        apart = "told apart" if tone == "good" else "not told apart"
+        if found.low is None or found.scenes < _MIN_SCENES:
+            apart = f"{_counted(found.scenes, 'scene')} cannot tell them apart"
+        elif tone == "open":
+            apart += f", as the 95{SPACE}% interval includes 0"
+        tones.add(tone)
+        parts.append(f"{gain(found, 'misses_at_equal_false_alarms')} fewer than {other} ({apart})")
+    if len(set(missed.values())) == 1:
+        return Statement("", f"{_listed(missed)} miss equally many, {number(missed[best], 1)} {at}.")
+    text = f"{best} misses fewest, {number(missed[best], 1)} {at}: {', '.join(parts)}."
+    return Statement("", text, "good" if tones == {"good"} else "open")
+
+
 def compared_with(evaluation: RigEvaluation) -> str | None:
     """The rig that the first is compared with before all others: the start, else the second."""
     if evaluation.start in evaluation.arms and evaluation.start != evaluation.first:
@@ -517,9 +545,9 @@ _RULES = {
 }
 
 
-def rule_table(evaluation: RigEvaluation) -> Table | None:
-    """What the rules ask for, and what the first rig and the one that it is compared with have."""
-    names, rules = (evaluation.first, compared_with(evaluation)), evaluation.rules or {}
+def rule_table(evaluation: RigEvaluation, arms: Iterable[str | None] | None = None) -> Table | None:
+    """What the rules ask for, and what some rigs have; by default the first and the one that it is compared with."""
+    names, rules = arms or (evaluation.first, compared_with(evaluation)), evaluation.rules or {}
     known = {name: rules[name] for name in names if name is not None and rules.get(name)}
     if evaluation.first not in known:
         return None

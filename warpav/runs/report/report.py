@@ -7,6 +7,7 @@ import io
 import math
 import re
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
@@ -17,6 +18,7 @@ import numpy as np
 
 from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
+from warpav.core.files import atomic_write, writing
 from warpav.core.table import Table
 from warpav.optimisation import ObjectOutcome
 from warpav.rig import Rig
@@ -69,6 +71,16 @@ _FIGURES = {
 }
 """Figures of a run and their captions; others come last, by name."""
 
+_COMPARED = {
+    "rig": "The rigs on the vehicle in the first test scene, in the order of the title",
+    "recall": _FIGURES["recall"],
+    "differences": _FIGURES["differences"],
+    "alone": "Left: level ground that one rig alone sees. Right: road users of the test scenes that one alone finds",
+    "ground": _FIGURES["ground"],
+    "plan": _FIGURES["plan"],
+}
+"""Figures of rigs side by side and their captions."""
+
 SHOWN_SCENES = {
     "first_scene": "The first test scene",
     "hardest_scene": "Of the other test scenes that with most objects not detected at the end",
@@ -95,8 +107,81 @@ def write_report(folder: RunFolder, run: RunContent | None = None) -> Path:
     return folder.write_report(page)
 
 
+def write_comparison(run: RunContent, figures: Mapping[str, io.BytesIO], out: Path, again: str) -> Path:
+    """Write the page of rigs side by side, at most 2 MB, from their evaluation and figures by name."""
+    evaluation = run.evaluation
+    assert evaluation is not None
+    shown = {
+        name: _PageImage(_COMPARED[name], *image)
+        for name, image in zip(figures, _images(list(figures.values())), strict=True)
+    }
+    alone, listed = _alone(evaluation, words.objects_name(run))
+    tables = {
+        "groups": evaluation.group_table(),
+        "near": evaluation.requirement_table(),
+        "rules": words.rule_table(evaluation, evaluation.arms),
+        "alone": alone,
+        "listed_alone": listed,
+    }
+    page = _template("compare").render(
+        evaluation=evaluation,
+        headline=words.verdict(run),
+        cautions=words.cautions(run),
+        pictures=lambda *names: [shown[name] for name in names if name in shown],
+        metrics=_metrics(run),
+        heading_of=heading_of,
+        rigs={name: _poses(rig) for name, rig in evaluation.rigs.items()},
+        again=again,
+        **{name: _typeset(table) for name, table in tables.items()},
+    )
+    with writing(out), atomic_write(out) as draft:
+        draft.write_text(page, encoding="utf-8", errors="backslashreplace")
+    return out
+
+
+def write_check(rig: str, items: Sequence[Any], figures: Mapping[str, io.BytesIO], out: Path) -> Path:
+    """Write the page of a rig that is checked, from what was checked and figures by name."""
+    images = zip(figures, _images(list(figures.values())), strict=True)
+    judged = [each for each in items if each.is_kept is not None]
+    failed = [each.about for each in judged if each.is_hard and not each.is_kept]
+    missed = sum(not each.is_hard and not each.is_kept for each in judged)
+    text = f"{len(failed)} of {len(judged)} fail: {'; '.join(failed)}." if failed else f"{len(judged)} were checked."
+    text += f" {missed} with a weight {'is' if missed == 1 else 'are'} not met." if missed else ""
+    page = _template("check").render(
+        rig=rig,
+        headline=words.Statement("FAIL" if failed else "PASS", text, "bad" if failed else "good"),
+        items=items,
+        pictures=[_PageImage(_FIGURES[name], *image) for name, image in images],
+    )
+    with writing(out), atomic_write(out) as draft:
+        draft.write_text(page, encoding="utf-8", errors="backslashreplace")
+    return out
+
+
+def _alone(evaluation: RigEvaluation, objects: str) -> tuple[Table, Table | None]:
+    """How many road users one rig alone finds, in all and by class and sector, and which they are."""
+    counts = {name: Counter[str]() for name in evaluation.arms}
+    rows = []
+    for seen in sorted(evaluation.objects, key=lambda seen: seen.distance_m):
+        name = seen.found_alone_by
+        if name is not None:
+            sector = SECTORS[round(seen.bearing_deg / 45.0) % len(SECTORS)]
+            counts[name].update(("all", seen.category, sector))
+            others = (str(each) for arm, each in seen.outcome.items() if arm != name)
+            place = words.number(seen.distance_m, 1), words.signed(seen.bearing_deg, 0), sector
+            rows.append((seen.scene, seen.category, *place, name, ", ".join(others)))
+    categories = sorted({seen.category for seen in evaluation.objects})
+    groups = [each for each in ("all", *categories, *SECTORS) if any(count[each] for count in counts.values())]
+    table = Table(
+        (f"of {len(evaluation.objects)} {objects} found by one alone", *evaluation.arms),
+        tuple((group, *(str(count[group]) for count in counts.values())) for group in groups or ["all"]),
+    )
+    columns = ("scene", "class", "distance [m]", "bearing [°]", "sector", "found by", "to the others")
+    return table, Table(columns, tuple(rows[:_MOST_ROWS])) if rows else None
+
+
 @cache
-def _template() -> Template:
+def _template(name: str = "page") -> Template:
     import jinja2
 
     environment = jinja2.Environment(
@@ -106,7 +191,7 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html.jinja")
+    return environment.get_template(f"{name}.html.jinja")
 
 
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:

@@ -119,6 +119,35 @@ def ground_figure(
     return panels[0].figure
 
 
+def found_alone_figure(rigs: Mapping[str, Rig], ego: Mesh, place_m: Mapping[str, np.ndarray]) -> Any:  # noqa: ANN401
+    """Level ground that one of several rigs alone sees, and where road users are that one alone finds [object, 2]."""
+    from matplotlib.patches import Patch
+
+    reach_m = half_length_m(ego) + _MARGIN_M
+    colours = {name: hex_colour(camera_rgb(k)) for k, name in enumerate(rigs)}
+    far_m = max(reach_m, *(float(np.abs(each - middle_of(ego)).max(initial=0.0)) + 3.0 for each in place_m.values()))
+    grounds = [VisibleGround.of(rig, ego, margin_m=reach_m) for rig in rigs.values()]
+    seen = np.stack([each.seen > 0 for each in grounds])
+    alone = np.where(seen.sum(axis=0) == 1, seen.argmax(axis=0), np.where(seen.any(axis=0), len(rigs), len(rigs) + 1))
+    shades = {"seen by two or more": hex_colour((224, 234, 244)), "seen by none": hex_colour((150, 150, 150))}
+    keys = {"Seen, or found, by one alone": colours, "Other ground": shades}
+    with panels_with_key(2, 2, panel_inch=4.65, key_lines=4, text=RINGS, heading=None) as (_, panels, key):
+        for axis, far, name in zip(panels, (reach_m, far_m), ("Level ground", "Road users"), strict=True):
+            draw_surroundings(axis, ego, reach_m=far)
+            title(axis, f"{name} {'seen' if axis is panels[0] else 'found'} by one alone")
+        alone[grounds[0].is_body] = len(rigs) + 2
+        _paint(panels[0], grounds[0], alone, [*colours.values(), *shades.values(), "white"])
+        area_m2 = [grounds[0].area_m2(alone == k) for k in range(len(rigs))]
+        panels[0].set_xlabel(", ".join(f"{name} {area:.1f} m²" for name, area in zip(rigs, area_m2, strict=True)))
+        for name, each in place_m.items():
+            panels[1].scatter(
+                each[:, 1], each[:, 0], s=70, alpha=0.8, color=colours[name], edgecolors="white", zorder=6
+            )
+        panels[1].set_xlabel(", ".join(f"{name} {len(each)}" for name, each in place_m.items()))
+        write_key(key, {what: [Patch(color=rgb, label=n) for n, rgb in of.items()] for what, of in keys.items()})
+    return panels[0].figure
+
+
 @contextmanager
 def _panels(
     rigs: Mapping[str, Rig], meaning: Mapping[str, Sequence[Any]], text: str, heading: str | None
@@ -163,19 +192,23 @@ def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: flo
 
 def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> str:  # noqa: ANN401
     """Paint the ground by what cameras see of it; says how much of it they do not."""
-    from matplotlib.colors import ListedColormap
-
-    limits = axis.get_xlim(), axis.get_ylim()
     state = np.select([ground.is_body, ground.is_shadow, ground.is_outside, ground.seen == 1], [0, 1, 2, 3], default=4)
-    half_m = 0.5 * (ground.x_m[1] - ground.x_m[0])
-    extent = (ground.y_m[0] - half_m, ground.y_m[-1] + half_m, ground.x_m[0] - half_m, ground.x_m[-1] + half_m)
-    colours = ListedColormap([hex_colour(rgb) for rgb in _GROUND_OF.values()])
-    style = {"cmap": colours, "vmin": -0.5, "vmax": 4.5, "interpolation": "nearest", "zorder": 1}
-    axis.imshow(state, origin="lower", extent=extent, **style)
-    axis.set(xlim=limits[0], ylim=limits[1])
+    _paint(axis, ground, state, [hex_colour(rgb) for rgb in _GROUND_OF.values()])
     is_near = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1]) <= reach_m
     share = float((ground.seen == 0)[is_near & ~ground.is_body].mean())
     return f"{100.0 * share:.0f} % of the ground within {reach_m:.0f} m unseen"
+
+
+def _paint(axis: Any, ground: VisibleGround, state: np.ndarray, colours: Sequence[str]) -> None:  # noqa: ANN401
+    """Paint cells of the ground in the colours of their states, int [row, column]."""
+    from matplotlib.colors import ListedColormap
+
+    limits = axis.get_xlim(), axis.get_ylim()
+    half_m = 0.5 * (ground.x_m[1] - ground.x_m[0])
+    extent = (ground.y_m[0] - half_m, ground.y_m[-1] + half_m, ground.x_m[0] - half_m, ground.x_m[-1] + half_m)
+    style = {"vmin": -0.5, "vmax": len(colours) - 0.5, "interpolation": "nearest", "zorder": 1}
+    axis.imshow(state, origin="lower", extent=extent, cmap=ListedColormap(list(colours)), **style)
+    axis.set(xlim=limits[0], ylim=limits[1])
 
 
 _STEP_DEG, _ELEVATION_DEG = 0.5, 60.0

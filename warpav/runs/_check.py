@@ -1,0 +1,156 @@
+"""Whether a rig is all right: every requirement and design rule with its margin, on one page."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.warp_setup import checked_device
+from warpav.optimisation import DetectionRange
+from warpav.raster.mesh import Mesh
+from warpav.rig import Rig
+from warpav.runs._rig_source import check_rig_source, find_rig
+from warpav.runs._scene_set import first_scene
+from warpav.runs.config import Config
+from warpav.runs.report.report import write_check
+from warpav.sight import (
+    Body,
+    RequirementResult,
+    RuleCheck,
+    SectorCounts,
+    check_requirements,
+    level_ground,
+    read_requirements,
+    sight,
+)
+from warpav.view import Canvas, drawing_of, figure_bytes
+
+_LIGHT_M = np.array([[x, y, 5.0] for x in (15.0, 20.0, 30.0, 40.0, 60.0) for y in (-3.5, 0.0, 3.5)])
+"""Traffic lights: how far in front of the body, to the left, and how high [m]."""
+
+_RULES = {
+    "own_body": "Own body in the image",
+    "horizon": "Horizon below the top edge of the image",
+    "crossing": "Angle to the line across the vehicle",
+    "housing": "Another camera's housing in the image",
+    "azimuth_gap": "Seams: widest gap of directions at 15 m",
+    "near_ground": "Near field: ground seen all round from",
+}
+
+_NEAR_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0)
+"""Bands around the vehicle in which redundancy and the loss of a camera count [m]."""
+
+_TOLERANCE_DEG = 1.0
+"""By how much all cameras are pitched to see which rules then break [deg]."""
+
+
+class Item(NamedTuple):
+    """One thing that is checked; without a limit it is told alone."""
+
+    about: str
+    asked: str
+    found: str
+    margin: str
+    is_kept: bool | None
+    is_hard: bool
+
+
+def check_rig_page(source: str, config: Config, *, requirements: str, out: Path) -> tuple[Path, list[Item]]:
+    """Write a page that says whether a rig keeps requirements and design rules; its file and what was checked."""
+    if out.suffix.lower() != ".html":
+        raise ArgumentError("out", f"expected a page to write, such as check.html, got {str(out)!r}")
+    if not out.absolute().parent.is_dir():
+        raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    wanted = read_requirements(requirements)
+    check_rig_source(source)
+    ego, device = first_scene(config).ego, checked_device(config.device)
+    rig = find_rig(source, config, ego)
+    met = check_requirements(rig, ego, wanted, supersampling=config.camera.supersampling, device=device)
+    items = [*_required(met), *_ruled(rig, ego, config, device), *_seen(rig, ego, device), *_far(rig, ego, device)]
+    items += _tolerated(rig, ego, config, device)
+    figures = {
+        kind: io.BytesIO(figure_bytes(drawing_of(rig, Canvas(off_screen=True), kind=kind, ego=ego), ".png"))
+        for kind in ("ground", "near_field", "redundancy", "plan")
+        if kind in ("ground", "near_field") or any(camera.model.beams is None for camera in rig.cameras)
+    }
+    return write_check(source, items, figures, out), items
+
+
+def _required(met: RequirementResult) -> Iterator[Item]:
+    for each in met.outcomes:
+        asked, kind = each.requirement.share, each.requirement.test_object.kind
+        gap = "" if each.gap is None or each.is_met else f"; largest gap {each.gap.area_m2:.2f} m², {each.gap.sector}"
+        margin = "" if asked is None else f"{100.0 * (each.share - asked):+.1f} points"
+        yield Item(
+            f"Requirement {each.requirement.name} ({kind})",
+            "" if asked is None else f"at least {100.0 * asked:g}% of the points",
+            f"{100.0 * each.share:.1f}%{gap}",
+            margin,
+            None if asked is None else each.is_met,
+            each.requirement.is_hard,
+        )
+
+
+def _ruled(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
+    for each in RuleCheck(rig, ego, config.rules.limits, device=device).margins:
+        factor, unit = (100.0, "%") if each.unit.startswith("of the") else (1.0, " m" if each.unit == "m" else "°")
+        is_least = each.rule in ("horizon", "crossing")
+        found = "nowhere" if each.value is None else f"{factor * each.value:.3g}{unit}"
+        cameras = f" ({', '.join(each.cameras)})" if each.cameras and each.value else ""
+        asked, margin = "", ""
+        if each.limit is not None:
+            asked = f"at {'least' if is_least else 'most'} {factor * each.limit:.3g}{unit}"
+        if each.limit is not None and each.value is not None:
+            slack = (each.value - each.limit) * (1.0 if is_least else -1.0)
+            margin = f"{factor * slack:+.3g}{unit}"
+        yield Item(
+            _RULES[each.rule], asked, found + cameras, margin, None if each.limit is None else each.is_kept, True
+        )
+
+
+def _tolerated(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
+    """The rules that all cameras pitched up or down would break besides."""
+
+    def broken(pitch_deg: float) -> set[str]:
+        cameras = [replace(each, pitch_rad=each.pitch_rad + math.radians(pitch_deg)) for each in rig.cameras]
+        margins = RuleCheck(Rig(cameras), ego, config.rules.limits, device=device).margins
+        return {each.rule for each in margins if not each.is_kept}
+
+    further = (broken(_TOLERANCE_DEG) | broken(-_TOLERANCE_DEG)) - broken(0.0)
+    text = "; ".join(_RULES[each] for each in _RULES if each in further) or "no further rule breaks"
+    yield Item(f"Tolerance: all cameras pitched by ±{_TOLERANCE_DEG:g}°", "", text, "", None, False)
+
+
+def _seen(rig: Rig, ego: Mesh, device: str) -> Iterator[Item]:
+    """Traffic lights, redundancy, and the loss of the camera that costs most."""
+    front_m = float(np.asarray(ego.bounds_m())[1, 0])
+    light_m = _LIGHT_M + np.array([front_m, Body.of(ego).centre_m[1], 0.0])
+    share = float(sight(rig, light_m, level_ground(ego, device=device)).seen.any(axis=0).mean())
+    yield Item("Traffic lights 5 m high, 15 to 60 m ahead", "", f"{100.0 * share:.0f}% in an image", "", None, False)
+    counts = SectorCounts.of(rig, ego, edges_m=_NEAR_EDGES_M, device=device)
+    open_ = counts.count >= 0
+    twice = float((counts.count >= 2)[open_].mean())
+    reach = f"{counts.edges_m[-1]:g} m"
+    yield Item(f"Redundancy: cars by two cameras, up to {reach}", "", f"{100.0 * twice:.0f}% of cells", "", None, False)
+    k = counts.costliest
+    lost, whole = counts.blind_share(counts.without(k)), counts.blind_share(counts.count)
+    text = f"{100.0 * lost:.0f}% of the area blind, not {100.0 * whole:.0f}%"
+    yield Item(f"Loss of one camera, at worst {counts.camera[k]}", "", text, "", None, False)
+
+
+def _far(rig: Rig, ego: Mesh, device: str) -> Iterator[Item]:
+    """How far ahead road users of each class are found; none where no model of the detector speaks for a camera."""
+    with contextlib.suppress(InputError):
+        found = DetectionRange.of(rig, ego, azimuth_count=8, device=device)
+        limit_m, range_m = found.limit_m(), found.range_m(0.9)
+        for row, category in enumerate(found.categories):
+            text = f"{min(range_m[row, 0], limit_m[row, 0]):.0f} m ahead"
+            yield Item(f"Far field: {category} found with probability 0.9", "", text, "", None, False)
