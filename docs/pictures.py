@@ -151,6 +151,20 @@ def draw_requirements(folder: Path) -> None:
     _warpav("rig", "requirements", "edgar", "--image", str(folder / "requirements.png"))
 
 
+def draw_lidar(folder: Path) -> None:
+    """lidar: one scan of a roof LiDAR and of one for the blind spot on the left, in dense streets."""
+    import warpav as wa
+
+    places = {"lidar_32": ([1.2, 0.0, 1.8], 0.0), "lidar_blind_spot": ([1.6, 0.98, 0.8], 0.5 * math.pi)}
+    known = wa.read_modules()
+    lidars = [
+        wa.Camera(name, place, yaw, model=known[name].camera_model(), module=name)
+        for name, (place, yaw) in places.items()
+    ]
+    scene = wa.town([5000], level="dense")[0].targeting(("vehicle", "pedestrian", "cyclist"))
+    wa.plot(wa.Rig(lidars), kind="points", scene=scene, out=folder / "lidar.png")
+
+
 def draw_series_car(folder: Path) -> None:
     """series_car: what of the ground within 5 m the rig that ``warpav optimise surround`` found sees."""
     rig = Path(__file__).parent / "surround_rig.yaml"
@@ -455,6 +469,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "gain": draw_gain,
     "requirements": draw_requirements,
     "series_car": draw_series_car,
+    "lidar": draw_lidar,
     "sensitivity": draw_sensitivity,
     "any_camera": draw_any_camera,
     "weights": draw_weights,

@@ -81,11 +81,9 @@ def detector_lidar(
     table: Annotated[Path, Parameter(help="CSV file with the columns points, class and found (0 or 1).")], /
 ) -> None:
     """Fit how many points of a LiDAR it takes to find a road user, and print the options that say so."""
-    from warpav.detection import fit_lidar_curve, read_findings
+    from warpav.runs import lidar_options
 
-    curve = fit_lidar_curve(*read_findings(table))
-    halves = (f"lidar.{name}={half:.3g}" for name, half in curve.points_for_half.items())
-    say(" ".join([*halves, f"lidar.steepness={curve.steepness:.3g}"]))
+    say(lidar_options(table))
 
 
 @dev_detector_app.command(name="score")

@@ -4,6 +4,7 @@ from warpav.runs._check import check_rig_page as check_rig_page
 from warpav.runs._detector_check import check_detector as check_detector
 from warpav.runs._detector_fit import fit as fit
 from warpav.runs._detector_fit import fit_detector as fit_detector
+from warpav.runs._detector_fit import lidar_options as lidar_options
 from warpav.runs._detector_fit import score_detectors as score_detectors
 from warpav.runs._detector_training import measure_detector as measure_detector
 from warpav.runs._detector_training import train_detector as train_detector

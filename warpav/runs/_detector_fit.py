@@ -27,7 +27,9 @@ from warpav.detection import (
     DetectorUse,
     ProbabilityScores,
     ScalingDetector,
+    fit_lidar_curve,
     fit_probability,
+    read_findings,
     score,
     stored_file,
     windows_of,
@@ -73,6 +75,13 @@ _FEW = 0.05  # of the objects; a weak detector finds several times as many
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
 """What was fitted for detectors that are objects, by what it was fitted for."""
+
+
+def lidar_options(table: Path) -> str:
+    """The options that say how many points a LiDAR needs, fitted to a table of what its detector found."""
+    curve = fit_lidar_curve(*read_findings(table))
+    halves = (f"lidar.{name}={half:.3g}" for name, half in curve.points_for_half.items())
+    return " ".join([*halves, f"lidar.steepness={curve.steepness:.3g}"])
 
 
 def chosen_seeds(

@@ -19,6 +19,7 @@ from warpav.rig import (
     ImportOptions,
     Rig,
     RigCamera,
+    builtin_modules,
     export_rig_with_notes,
     formats_for,
     import_rig_with_notes,
@@ -179,3 +180,13 @@ def test_quaternions_and_rotations_are_scipys(quaternion):
     back = quaternion_from_rotation(expected)
     assert back[0] >= 0.0
     np.testing.assert_allclose(rotation_from_quaternion(back), expected, atol=1e-12)
+
+
+def test_lidars_are_dropped_by_name_where_asked(tmp_path):
+    lidar = RigCamera("top", [1.0, 0.0, 2.0], model=builtin_modules()["lidar_32"].camera_model())
+    rig = Rig([RigCamera("front", [2.0, 0.0, 1.5]), lidar])
+    with pytest.raises(InputError, match=r"camera 'top': urdf cannot represent a LiDAR; `approximate` drops it"):
+        export_rig_with_notes(rig, "urdf", tmp_path / "rig.urdf")
+    _, notes = export_rig_with_notes(rig, "urdf", tmp_path / "rig.urdf", approximate=True)
+    assert "camera 'top': a LiDAR is dropped" in notes
+    assert [each.name for each in import_rig_with_notes(tmp_path / "rig.urdf", "urdf")[0].cameras] == ["front"]

@@ -261,7 +261,12 @@ def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options
         names = ", ".join(name for name in RIG_FORMATS if name not in IMPORTED_ONLY)
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(_placement(options.origin_m, options.origin_rpy_deg))
-    placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
+    cameras = [camera for camera in rig.cameras if camera.model.beams is None]
+    for lidar in (camera for camera in rig.cameras if camera.model.beams is not None):
+        losses.leave_out(lidar.name, "a LiDAR")
+    if not cameras:
+        raise InputError(f"{form.name}: expected a rig with a camera, got LiDARs alone, which it cannot represent")
+    placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in cameras]
     if options.vehicle is None:
         return form.written(placed, target, losses)
     if not form.holds_vehicle:
