@@ -58,7 +58,7 @@ def test_import_takes_a_fraction_of_a_second():
 
 def test_every_public_name_is_there_and_nothing_else():
     assert set(dir(wa)) == {*wa.__all__, "__version__"}
-    assert 20 <= len(wa.__all__) <= 47
+    assert 20 <= len(wa.__all__) <= 48
     for name in wa.__all__:
         assert getattr(wa, name) is not None
     assert callable(wa.optimise)

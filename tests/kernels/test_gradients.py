@@ -11,7 +11,7 @@ from warp.autograd import gradcheck
 from tests.architecture.kernel_style import read_modules
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel
-from warpav_kernels.detection import detection_probability
+from warpav_kernels.detection import detection_probability, lidar_probability
 from warpav_kernels.placement import benchmark, constraint_losses, expected_misses, lagrangian, mount_pose
 from warpav_kernels.raster import _measure as measure
 from warpav_kernels.raster import linearise
@@ -165,6 +165,13 @@ def box_solid_angle(new):
     return VIEWS, [place, middle, half_size, along], [new(np.zeros((VIEWS, VEHICLES)))]
 
 
+def lidar_finds(new):
+    points = new(size=(VIEWS, VEHICLES, 1), low=1.0, high=9.0)
+    distance = new(size=(VIEWS, VEHICLES), low=40.0, high=60.0)
+    out = [new(np.zeros((VIEWS, VEHICLES))), new(np.zeros((VIEWS, VEHICLES)))]
+    return (VIEWS, VEHICLES), [points, distance, new(size=VEHICLES, low=2.0, high=6.0), 2.7, 50.0], out
+
+
 def zone_excess(new):
     # in the middle of cells of half a metre; beyond the border, and beyond a corner
     pose = new(np.c_[[[0.8, -0.2], [1.2, 4.0], [-1.0, -2.5]], np.zeros((3, 5))])
@@ -246,6 +253,7 @@ CASES = {
     thesis.mean_vehicle_loss_kernel: mean_vehicle_loss,
     detection_probability.box_solid_angle_kernel: box_solid_angle,
     detection_probability.detection_probability_kernel: probability_of_detection,
+    lidar_probability.lidar_probability_kernel: lidar_finds,
     expected_misses.sum_over_panorama_kernel: sum_over_panorama,
     expected_misses.camera_probability_kernel: camera_probability,
     expected_misses.box_share_kernel: box_share,

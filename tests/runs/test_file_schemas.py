@@ -42,6 +42,13 @@ cameras:
   - {name: b, position_m: [1, 0, 1.5], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, focal_px: [50, 50], centre_px: [32, 32],
      width_px: 64, height_px: 64}
   - {name: c, position_m: [1, 0, 1.5], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, module: side_2mp_100}
+  - name: d
+    position_m: [1, 0, 1.8]
+    yaw_deg: 0
+    pitch_deg: 0
+    roll_deg: 0
+    beams: {elevation_deg: [-10, 10], lines: 2, azimuth_step_deg: 1, azimuth_deg: [-90, 90], range_m: [50, 90],
+            least_range_m: 0.5, rate_hz: 10, weight: [[1], [2]]}
 """,
     "modules": """
 extends: builtin
@@ -49,6 +56,13 @@ modules:
   - {name: a, sensor_px: [640, 480], network_px: [320, 240], network_by: scaling, lens: fisheye, fov_deg: 120,
      vertical_fov_deg: 90, distortion: [0, 0, 0, 0], housing: {size_m: [0.03, 0.03, 0.03], offset_m: [0, 0, 0]},
      price: {value: 1, unit: EUR}, power_w: null, zones: [roof], role: front, source: a guess}
+  - name: b
+    kind: lidar
+    beams: {elevation_deg: [-10, 10], lines: 2, azimuth_step_deg: 1, azimuth_deg: [-90, 90], range_m: [50, 90],
+            least_range_m: 0.5, rate_hz: 10, weight: [[1], [2]]}
+    housing: {size_m: [0.1, 0.1, 0.1]}
+    price: {value: 1, unit: EUR}
+    source: a guess
 """,
     "zones": """
 zones:
@@ -67,7 +81,7 @@ requirements:
   d: {area: {polygon_m: [[0, 0], [1, 0], [1, 1]]}, grid_m: 1, object: lying}
 """,
 }
-UNUSED = {"modules", "mesh"}  # keys that name files, and are not in these
+UNUSED = {"modules", "mesh", "pattern"}  # keys that name files, and are not in these
 
 
 def checker(of):
