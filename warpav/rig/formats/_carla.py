@@ -54,6 +54,8 @@ _DEFAULTS = (800, 600, 90.0)  # of the blueprint sensor.camera.rgb
 _BEAMS = {"channels": 32, "range": 10.0, "points_per_second": 56000, "rotation_frequency": 10.0, "upper_fov": 10.0}
 _BEAMS |= {"lower_fov": -30.0, "horizontal_fov": 360.0}
 """Attributes of the blueprint sensor.lidar.ray_cast, and their defaults; the last one came later than the others."""
+_Sensor = tuple[np.ndarray, Optics | CameraModel | None, bool]
+"""Its transform, its optics, and whether the image is CARLA's default."""
 
 
 def _read_bridge(path: Path, part: str | None) -> Found:
@@ -72,7 +74,7 @@ def _read_bridge(path: Path, part: str | None) -> Found:
     return _found(path, sensors, _bridge_camera)
 
 
-def _bridge_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
+def _bridge_camera(sensor: Record) -> _Sensor:
     spawn_point = sensor.at("spawn_point")
     spawn_point.mapping("a mapping with x, y, z, roll, pitch, yaw")
     angle = {f"{key}_rad": math.radians(spawn_point.at(key).number(0.0)) for key in ("yaw", "pitch", "roll")}
@@ -129,7 +131,7 @@ def _with_numbers(sensor: object) -> object:
     return {key: float(value) if is_text[key] else value for key, value in sensor.items()}
 
 
-def _python_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
+def _python_camera(sensor: Record) -> _Sensor:
     location_m = [sensor.at(key).number() for key in "xyz"]
     pitch_deg, yaw_deg, roll_deg = (sensor.at(key).number(0.0) for key in ("pitch", "yaw", "roll"))
     position_m, yaw_rad, pitch_rad, roll_rad = ego_from_carla_pose(
@@ -253,9 +255,8 @@ def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses)
         position_m, angle = link_of_transform(camera.file_from_camera)
         numbers = *position_m, *(math.degrees(angle[key]) for key in ("roll_rad", "pitch_rad", "yaw_rad"))
         spawn_point = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), map(_written, numbers), strict=True))
-        sensors.append(
-            {"type": _LIDAR if camera.model.beams else _CAMERA, "id": camera.name, "spawn_point": spawn_point}
-        )
+        kind = _LIDAR if camera.model.beams else _CAMERA
+        sensors.append({"type": kind, "id": camera.name, "spawn_point": spawn_point})
         sensors[-1] |= _attributes(camera, losses, ("image_size_x", "image_size_y"))
     vehicle = {"type": "vehicle.tesla.model3", "id": "ego_vehicle", "sensors": sensors}
     losses.notes.append("the vehicle is called vehicle.tesla.model3; put in the one that you drive")

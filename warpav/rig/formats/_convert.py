@@ -202,6 +202,8 @@ def import_rig_with_notes(
             "`accept_mirrored` takes it as it is"
         )
     count = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}"
+    lidar_count = sum(camera.model.beams is not None for camera in cameras)
+    count += f" ({lidar_count} of them LiDARs)" if lidar_count else ""
     notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes, *lens_notes, *folded_lenses(cameras)]
     if bare:
         how = f"read with those of {lidar.name}" if lidar else "not read; `lidar` MODULE gives them those of a module"
@@ -340,7 +342,11 @@ def _lidar_module(name: str | None) -> Module | None:
 
 def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOptions, file: Path) -> CameraModel:
     if isinstance(camera.optics, CameraModel):
-        return camera.optics
+        beams = camera.optics.beams
+        if beams is None or not options.mirror_y:
+            return camera.optics
+        right_rad, left_rad = beams.azimuth_rad
+        return CameraModel.of_beams(replace(beams, azimuth_rad=(-left_rad, -right_rad)), camera.optics.near_m)
     location = f"{file}: camera {camera.name!r}"
     optics = lenses.get(_key(camera.name)) or camera.optics
     if optics is None:

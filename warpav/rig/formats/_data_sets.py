@@ -97,7 +97,10 @@ def _read_nuscenes(file: Path, part: str | None) -> Found:
         )
         cameras.append(FoundCamera(name, transform, optics))
     notes = () if name_of else ("there is no sensor.json beside the file, so cameras are numbered",)
-    return Found(tuple(cameras), (*notes, *unread_note(file, (key for row in rows for key in row.unread()))))
+    return Found(
+        tuple(cameras),
+        (*notes, *unread_note(file, (key for row in rows for key in row.unread("token", "camera_intrinsic")))),
+    )
 
 
 def _opencv_distortion(record: Record) -> list[float]:

@@ -340,7 +340,7 @@ class RigFormat:
         assert self.write is not None
         losses.notes += [self.note] if self.note else []
         for lidar in (each for each in cameras if each.model.beams and self.lidars != "beams"):
-            losses.leave_out(lidar.name, "the beams of a LiDAR (its frame is kept)" if self.lidars else "a LiDAR")
+            losses.leave_out(lidar.name, "the beams of a LiDAR (its frame stays)" if self.lidars else "a LiDAR")
         cameras = [each for each in cameras if self.lidars or not each.model.beams]
         if not cameras:
             raise InputError(f"{self.name}: expected a camera, got LiDARs alone; choose another format")
@@ -480,12 +480,12 @@ def even_beams(camera: PlacedCamera, losses: Losses) -> Beams:
     assert beams is not None
     up_rad = np.array(beams.elevation_rad)
     if beams.weight is not None:
-        losses.leave_out(camera.name, "a LiDAR's pattern (as many shots on evenly spread lines are kept)")
+        losses.leave_out(camera.name, "the pattern of a LiDAR (as many shots on evenly spread lines stay)")
     elif np.abs(up_rad - np.linspace(up_rad[0], up_rad[-1], len(up_rad))).max() > _SAME_RAD:
         losses.leave_out(
-            camera.name, "lines that are not evenly spread (the lowest, the highest, their number are kept)"
+            camera.name, "the uneven spread of a LiDAR's lines (the lowest, the highest, their number stay)"
         )
     near_m, far_m = beams.range_m
     if near_m < far_m:
-        losses.leave_out(camera.name, f"a LiDAR's range at 80 % reflectivity, {far_m:g} m ({near_m:g} m are kept)")
+        losses.leave_out(camera.name, f"a LiDAR's range at 80 % reflectivity ({far_m:g} m; {near_m:g} m stay)")
     return beams

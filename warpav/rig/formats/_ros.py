@@ -201,7 +201,8 @@ def _read_urdf(path: Path) -> Found:
     }
     plain |= {link: re.sub(r"_(?:link|frame)$", "", link) for link in sensors if link in links and link not in optical}
     name_of = {**optical, **plain}
-    lidars = {link: re.sub(r"_(?:link|frame)$", "", link) for link in beams_of if link in links}
+    both = [link for link in sensors if link in beams_of]
+    lidars = {link: re.sub(r"_(?:link|frame)$", "", link) for link in beams_of if link in links and link not in both}
     lidars |= {
         link: match[1] or match[2]
         for link in links
@@ -219,10 +220,14 @@ def _read_urdf(path: Path) -> Found:
     others |= {link for link, name in name_of.items() if link not in sensors and _NO_CAMERA.search(name)}
     if others >= name_of.keys():
         others = set()
-    cameras = []
+    cameras, notes = [], [f"{', '.join(both)}: the camera of <gazebo> is read, not the LiDAR"] if both else []
     for link in links:
         if link in lidars:
-            transform = tree.base_from(link)
+            try:
+                transform = tree.base_from(link)
+            except InputError as error:
+                notes.append(f"LiDAR {lidars[link]} is not read: {error}")
+                continue
             transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
             model = beams_of.get(link)
             cameras.append(FoundCamera(lidars[link], transform, model, lacks_beams=model is None))
@@ -231,7 +236,7 @@ def _read_urdf(path: Path) -> Found:
             if link in plain:
                 transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
             cameras.append(FoundCamera(name_of[link], transform, sensors.get(link)))
-    notes = [] if base == _BASE else [f"there is no {_BASE}, so poses are relative to the root link {base}"]
+    notes += [] if base == _BASE else [f"there is no {_BASE}, so poses are relative to the root link {base}"]
     if left := [link for link in links if link in others & name_of.keys()]:
         notes.append(f"{', '.join(left)}: taken for no cameras, by their names or by <gazebo>")
     strange = (f"<{below.tag}>" for above in (root, *root.findall("joint")) for below in above
