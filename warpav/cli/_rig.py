@@ -57,6 +57,7 @@ def _rig_import(
     approximate: Annotated[
         bool, Parameter(help="Take lenses that warpav's nearest is off by more than .25 px.", negative="")
     ] = False,
+    lidar: Annotated[str | None, Parameter(help="Module for LiDARs whose beams the file lacks: lidar_32.")] = None,
     overwrite: Annotated[bool, Parameter(help="Replace the file that is there.", negative="")] = False,
 ) -> None:
     """Make a rig YAML of another tool's file, and say in which frame it was read."""
@@ -65,7 +66,7 @@ def _rig_import(
     if out is not None:
         check_target(out, overwrite=overwrite)
     lens = (width_px, height_px, fov_deg, intrinsics)
-    options = ImportOptions(origin_m, origin_rpy_deg, *lens, part, accept_mirrored, mirror_y, approximate)
+    options = ImportOptions(origin_m, origin_rpy_deg, *lens, part, accept_mirrored, mirror_y, approximate, lidar)
     rig, notes = import_rig_with_notes(file, format_name, options)
     for note in notes:
         (complain if out is None else say)(with_flags(note))  # what is printed is the rig, and nothing else

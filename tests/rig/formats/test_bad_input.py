@@ -73,7 +73,7 @@ CORRUPT = {
     "carla-ros-bridge": [
         ('"x": 1.7', '"x": "1.7"', "objects[1].sensors[1].spawn_point.x: expected a finite number, got '1.7'"),
         ('"fov": 90.0', '"fov": 190.0', "sensors[1].fov: expected a field of view between 0 and 180 degrees, got 190"),
-        ("sensor.camera.rgb", "sensor.camera.depth", "expected sensors of type sensor.camera.rgb, got none"),
+        ("sensor.camera.rgb", "sensor.camera.depth", "expected cameras, got LiDARs without beams, lidar; `lidar`"),
         ('"objects"', '"object"', "objects: expected the ros-bridge's list of objects"),
     ],
     "carla-python": [

@@ -4,12 +4,14 @@ import importlib.util
 import json
 import math
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from tests.rig.formats.known_pose import (
     BRIDGE,
@@ -23,11 +25,13 @@ from tests.rig.formats.known_pose import (
     QUATERNION_WXYZ,
     ROLL_DEG,
     ROLL_RAD,
+    URDF,
     YAW_DEG,
     YAW_RAD,
     write_sample,
 )
 from warpav.core.errors import InputError
+from warpav.raster.beams import Beams
 from warpav.raster.camera import CameraModel
 from warpav.rig import ImportOptions, Rig, RigCamera, export_rig_with_notes, import_rig_with_notes
 
@@ -252,6 +256,10 @@ def test_argoverse2_reads_and_writes_the_known_camera(tmp_path):
     assert camera.position_m == pytest.approx([1.7, 0.5, 1.93])
     assert camera.model == CameraModel(640, 480, camera.model.fov_rad)
     assert any("undistorted" in note for note in notes)
+    (lidar, _) = import_rig_with_notes(tmp_path / "out", "argoverse2", ImportOptions(lidar="lidar_32"))[0].cameras
+    # its frame is not turned to look along z: the quaternion is that from x, y, z of the mount
+    expected = Rotation.from_quat(np.roll(QUATERNION_WXYZ, -1)).as_matrix() @ RDF_IN_FLU
+    np.testing.assert_allclose(lidar.ego_from_camera[:3, :3], expected, atol=1e-5)
     assert notes[2].endswith(": not read: skew")
 
 
@@ -536,3 +544,94 @@ def test_a_key_that_is_not_read_is_named(tmp_path, name):
         _, notes = import_rig_with_notes(path, name, SIZED)
         told = [note for note in notes if ": not read: " in note and key in note]
         assert len(told) == spoil
+
+
+# ------------------------------------------------------------------------------------------------------------ LiDARs
+
+RDF_IN_FLU = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+RAY = """
+  <gazebo reference="lidar_link">
+    <sensor type="{type}" name="velodyne"><pose>0 0 0 0 0 0</pose><update_rate>20</update_rate>
+      <{below}>
+        <scan>
+          <horizontal><samples>361</samples><resolution>1</resolution>
+            <min_angle>-0.9</min_angle><max_angle>0.5</max_angle></horizontal>
+          <vertical><samples>{lines}</samples><min_angle>-0.25</min_angle><max_angle>0.05</max_angle></vertical>
+        </scan>
+        <range><min>0.3</min><max>130.0</max><resolution>0.001</resolution></range>
+      </{below}>
+    </sensor>
+  </gazebo>
+</robot>"""
+
+
+@pytest.mark.parametrize(("kind", "below"), [("ray", "ray"), ("gpu_ray", "ray"), ("gpu_lidar", "lidar")])
+def test_gazebos_rays_are_the_shots(tmp_path, kind, below):
+    file, options = tmp_path / "rig.urdf", ImportOptions(**SIZED_LENS)
+    text = URDF.replace("</robot>", RAY)
+    file.write_text(text.format(type=kind, below=below, lines=16))
+    lidar, camera = import_rig_with_notes(file, "urdf", options)[0].cameras
+    assert (lidar.name, camera.name) == ("lidar", "front_left")
+    np.testing.assert_allclose(lidar.ego_from_camera[:3], np.c_[RDF_IN_FLU, [1.0, 0.0, 1.5]], atol=1e-12)
+    beams, (shot, _, _) = lidar.model.beams, lidar.model.beams.shots()
+    azimuth, up = np.linspace(0.5, -0.9, 361), np.linspace(-0.25, 0.05, 16)
+    up, azimuth = (each.ravel() for each in np.meshgrid(up, azimuth, indexing="ij"))
+    expected = np.stack([np.cos(up) * np.cos(azimuth), np.cos(up) * np.sin(azimuth), np.sin(up)], axis=1)
+    np.testing.assert_allclose(shot, expected, atol=2e-6)  # microdegrees of the step, 360 times
+    assert (lidar.model.near_m, beams.range_m, beams.rate_hz) == (0.3, (130.0, 130.0), 20.0)
+    turned = import_rig_with_notes(file, "urdf", replace(options, mirror_y=True, accept_mirrored=True))[0].cameras[0]
+    assert turned.model.beams.azimuth_rad == (-beams.azimuth_rad[1], -beams.azimuth_rad[0])
+    file.write_text(text.format(type=kind, below=below, lines=1))
+    rig, notes = import_rig_with_notes(file, "urdf", options)
+    assert [each.name for each in rig.cameras] == ["front_left"]
+    assert notes[1].startswith("lidar: LiDARs whose beams the file does not hold, not read")
+    file.write_text(text.format(type=kind, below=below, lines="many"))
+    with pytest.raises(InputError, match=f"{below}/scan/vertical/samples: expected a number, got 'many'"):
+        import_rig_with_notes(file, "urdf", options)
+
+
+def test_carlas_beams_are_read(tmp_path):
+    """A Velodyne HDL-64 as CARLA's examples have it, to the right of the middle."""
+    sensor = {"type": "sensor.lidar.ray_cast", "id": "LIDAR", "x": 0.7, "y": 0.4, "z": 1.6, "yaw": 90.0}
+    sensor |= {"channels": 64, "range": 100, "points_per_second": 1152000, "rotation_frequency": "10"}
+    sensor |= {"upper_fov": 2.0, "lower_fov": -24.8, "noise_stddev": 0.1}
+    file = tmp_path / "sensors.json"
+    file.write_text(json.dumps([sensor]))
+    rig, notes = import_rig_with_notes(file, "carla-python")
+    (lidar,) = rig.cameras
+    assert lidar.position_m == pytest.approx([0.7, -0.4, 1.6])
+    assert math.degrees(lidar.yaw_rad) == pytest.approx(-90.0)
+    assert lidar.model.beams == Beams(
+        tuple(np.radians(np.linspace(-24.8, 2.0, 64))), math.radians(0.2), range_m=(100, 100)
+    )
+    assert notes[1].endswith(": not read: noise_stddev")
+    del sensor["upper_fov"], sensor["noise_stddev"]
+    file.write_text(json.dumps([sensor]))
+    rig, notes = import_rig_with_notes(file, "carla-python")
+    assert math.degrees(rig.cameras[0].model.beams.elevation_rad[-1]) == pytest.approx(10.0)
+    assert notes[1] == "LIDAR: CARLA's defaults, upper_fov 10"
+    for key, value in (("points_per_second", 0), ("channels", 9000), ("lower_fov", 20.0), ("range", -1.0)):
+        file.write_text(json.dumps([sensor | {key: value}]))
+        with pytest.raises(
+            InputError, match=r"sensors\.json: \[0\]: expected (positive channels|the beams of a LiDAR)"
+        ):
+            import_rig_with_notes(file, "carla-python")
+
+
+@pytest.mark.parametrize(
+    ("name", "found", "position_m", "yaw_deg"),
+    [
+        ("nuscenes", "LIDAR_TOP", (0.9, 0.0, 1.8), 0.0),  # whose y looks ahead
+        ("autoware", "velodyne_top", (1.0, 0.2, 1.8), 180.24),
+        ("carla-ros-bridge", "lidar", (0.0, 0.0, 2.4), 0.0),
+        ("urdf", "lidar", (1.0, 0.0, 1.5), 0.0),
+    ],
+)
+def test_frames_of_lidars_are_read(tmp_path, name, found, position_m, yaw_deg):
+    rig, _ = import_rig_with_notes(write_sample(name, tmp_path), name, replace(SIZED, lidar="lidar_32"))
+    lidar = next(camera for camera in rig.cameras if camera.name == found)
+    assert lidar.position_m == pytest.approx(position_m, abs=1e-9)
+    turn_deg = math.degrees(lidar.yaw_rad) - yaw_deg
+    assert math.remainder(turn_deg, 360.0) == pytest.approx(0.0, abs=0.1 if name != "nuscenes" else 0.5)
+    assert abs(lidar.pitch_rad) + abs(lidar.roll_rad) < math.radians(2.0)
+    assert lidar.module == "lidar_32"

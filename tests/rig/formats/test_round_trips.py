@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation, rotation_from_quaternion
+from warpav.raster.beams import Beams
 from warpav.raster.camera import CameraModel
 from warpav.rig import (
     EXPORTED_ONLY,
@@ -182,11 +183,85 @@ def test_quaternions_and_rotations_are_scipys(quaternion):
     np.testing.assert_allclose(rotation_from_quaternion(back), expected, atol=1e-12)
 
 
-def test_lidars_are_dropped_by_name_where_asked(tmp_path):
-    lidar = RigCamera("top", [1.0, 0.0, 2.0], model=builtin_modules()["lidar_32"].camera_model())
-    rig = Rig([RigCamera("front", [2.0, 0.0, 1.5]), lidar])
-    with pytest.raises(InputError, match=r"camera 'top': urdf cannot represent a LiDAR; `approximate` drops it"):
-        export_rig_with_notes(rig, "urdf", tmp_path / "rig.urdf")
-    _, notes = export_rig_with_notes(rig, "urdf", tmp_path / "rig.urdf", approximate=True)
-    assert "camera 'top': a LiDAR is dropped" in notes
-    assert [each.name for each in import_rig_with_notes(tmp_path / "rig.urdf", "urdf")[0].cameras] == ["front"]
+FRAMES_OF_LIDARS = [param for param in BOTH_WAYS if param.values[0] in ("nuscenes", "argoverse2", "autoware")]
+
+
+def rig_of_lidar(model, module=None):
+    camera = RigCamera("front", np.array([1.8, 0.1, 1.4]), 0.1, 0.2, 0.05)
+    return Rig([camera, RigCamera("roof", np.array([1.2, -0.3, 1.9]), -2.5, 0.15, -0.1, model, module)])
+
+
+@pytest.mark.parametrize("name", ["urdf", *CENTRED])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    lines=st.integers(2, 128),
+    low_deg=st.floats(-60.0, 0.0),
+    shots=st.integers(100, 3600),
+    half_deg=st.floats(20.0, 170.0) | st.just(180.0),
+    range_m=st.floats(10.0, 300.0),
+    rate_hz=st.sampled_from([5.0, 10.0, 12.5, 20.0]),
+)
+def test_even_beams_survive_formats_that_hold_them(
+    tmp_path_factory, name, lines, low_deg, shots, half_deg, range_m, rate_hz
+):
+    up_rad = np.radians(np.linspace(low_deg, low_deg + 25.0, lines))
+    half_rad = math.radians(half_deg)
+    azimuth_rad = (-half_rad, 0.5 * half_rad) if name == "urdf" and half_deg < 180.0 else (-half_rad, half_rad)
+    step_rad = (azimuth_rad[1] - azimuth_rad[0]) / shots
+    beams = Beams(tuple(up_rad), step_rad, azimuth_rad, (range_m, range_m), rate_hz=rate_hz)
+    rig = rig_of_lidar(CameraModel.of_beams(beams, 0.1))
+    back = through(rig, name, tmp_path_factory.mktemp("rig") / "out")
+    found = back.cameras[1].model.beams
+    np.testing.assert_allclose(np.degrees(found.elevation_rad), np.degrees(beams.elevation_rad), atol=2e-6)
+    assert math.degrees(found.step_rad) == pytest.approx(math.degrees(beams.step_rad), rel=1e-5, abs=2e-6)
+    # a step of whole microdegrees times shots differs that much from the sector
+    np.testing.assert_allclose(np.degrees(found.azimuth_rad), np.degrees(azimuth_rad), atol=1e-6 * shots)
+    assert found.range_m == pytest.approx(beams.range_m)
+    assert (found.rate_hz, found.is_all_round) == (pytest.approx(rate_hz), half_deg == 180.0)
+    assert back.cameras[1].model.near_m == 0.1
+    np.testing.assert_allclose(back.cameras[1].ego_from_camera, rig.cameras[1].ego_from_camera, atol=1e-9)
+    assert back.cameras[0].model.fov_rad == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("name", FRAMES_OF_LIDARS)
+def test_frames_of_lidars_survive_and_take_the_beams_of_a_module(tmp_path, name):
+    module = builtin_modules()["lidar_flat_120"]
+    rig = rig_of_lidar(module.camera_model(), "lidar_flat_120")
+    with pytest.raises(
+        InputError, match=f"camera 'roof': {name} cannot represent the beams of a LiDAR .*`approximate`"
+    ):
+        export_rig_with_notes(rig, name, tmp_path / "out")
+    export_rig_with_notes(rig, name, tmp_path / "out", approximate=True)
+    back, notes = import_rig_with_notes(tmp_path / "out", name, ImportOptions(lidar="lidar_flat_120"))
+    assert_same(rig, back)
+    roof = back.cameras[1]
+    assert (roof.model, roof.module, roof.housing) == (rig.cameras[1].model, "lidar_flat_120", module.housing)
+    assert not any("not read" in note for note in notes)
+    plain, notes = import_rig_with_notes(tmp_path / "out", name)
+    assert [camera.name for camera in plain.cameras] == ["front"]
+    assert any(note.startswith("roof: LiDARs whose beams the file does not hold, not read; `lidar`") for note in notes)
+    export_rig_with_notes(Rig(rig.cameras[1:]), name, tmp_path / "alone", approximate=True)
+    with pytest.raises(InputError, match="expected cameras, got LiDARs without beams, roof; `lidar` MODULE"):
+        import_rig_with_notes(tmp_path / "alone", name)
+    with pytest.raises(InputError, match=r"lidar: expected one of lidar_16, .*got 'lidar_flat'"):
+        import_rig_with_notes(tmp_path / "out", name, ImportOptions(lidar="lidar_flat"))
+
+
+def test_what_is_lost_of_lidars_is_said(tmp_path):
+    uneven = rig_of_lidar(builtin_modules()["lidar_32_dense_middle"].camera_model())
+    lost = {"urdf": ["uneven spread", "80 % reflectivity"], "kitti": ["a LiDAR"], "opencv": ["a LiDAR"]}
+    lost |= {name: [*lost["urdf"], "least range, 0.5 m"] for name in CENTRED}
+    for name, things in lost.items():
+        with pytest.raises(InputError, match=f"camera 'roof': {name} cannot represent .*`approximate`"):
+            export_rig_with_notes(uneven, name, tmp_path / name)
+        _, notes = export_rig_with_notes(uneven, name, tmp_path / name, approximate=True)
+        dropped = [note for note in notes if note.endswith("is dropped")]
+        assert len(dropped) == len(things)
+        assert all(thing in note for thing, note in zip(things, dropped, strict=True))
+    with pytest.raises(InputError, match="lidar: expected a file with LiDARs that lack beams, got none"):
+        import_rig_with_notes(tmp_path / "urdf", "urdf", ImportOptions(lidar="lidar_32"))
+    aside = Beams((-0.1, 0.1), 0.01, (0.0, 1.0), (90.0, 90.0))
+    with pytest.raises(InputError, match=r"represent a LiDAR's sector from 0 to 57\.2958 deg; choose another format"):
+        export_rig_with_notes(rig_of_lidar(CameraModel.of_beams(aside, 0.1)), "carla-python", tmp_path / "b.json")
+    with pytest.raises(InputError, match="kitti: expected a camera, got LiDARs alone"):
+        export_rig_with_notes(Rig(uneven.cameras[1:]), "kitti", tmp_path / "c", approximate=True)

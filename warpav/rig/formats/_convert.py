@@ -6,12 +6,11 @@ centre of the rear axle) and the rotation of its axes. Imports and exports of al
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import logging
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,9 @@ from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.core.records import nearest
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
+from warpav.rig._catalogue import builtin_modules
 from warpav.rig._check import FAR_M, folded_lenses, mirrored_cameras
+from warpav.rig._module import Module
 from warpav.rig._rig import Rig, RigCamera
 from warpav.rig.formats import IMPORTED_ONLY, RIG_FORMATS
 from warpav.rig.formats._format import READ_PX, FoundCamera, Losses, Optics, PlacedCamera, RigFormat
@@ -55,6 +56,7 @@ class ImportOptions:
     accept_mirrored: bool = False
     mirror_y: bool = False
     approximate: bool = False
+    lidar: str | None = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def import_rig(
     accept_mirrored: bool = False,
     mirror_y: bool = False,
     approximate: bool = False,
+    lidar: str | None = None,
 ) -> Rig:
     """The rig in another tool's file, in the ego frame.
 
@@ -114,6 +117,7 @@ def import_rig(
         accept_mirrored: Accept cameras whose name contradicts their side or direction.
         mirror_y: The file's y points to the right, and its angles about x and z are turned the other way round.
         approximate: Take a lens that warpav's nearest one is off by more than a quarter of a pixel.
+        lidar: Module of the shipped catalogue for LiDARs whose beams the file does not hold; None: they are not read.
 
     What of a file is not read is logged as a warning.
 
@@ -131,6 +135,7 @@ def import_rig(
         accept_mirrored,
         mirror_y,
         approximate,
+        lidar,
     )
     rig, notes = import_rig_with_notes(path, format_name, options)
     for note in notes[1:]:
@@ -159,17 +164,33 @@ def import_rig_with_notes(
     ego_from_file = _placement(options.origin_m, options.origin_rpy_deg)
     found = form.found(file, options.part)
     lenses, lens_notes = _lenses(file, options)
-    models = [_model(camera, lenses, options, file) for camera in found.cameras]
+    lidar = _lidar_module(options.lidar)
+    bare = [each.name for each in found.cameras if each.lacks_beams]
+    read = [each for each in found.cameras if lidar or not each.lacks_beams]
+    if not read:
+        names = ", ".join(bare)
+        raise InputError(f"{file}: expected cameras, got LiDARs without beams, {names}; `lidar` MODULE gives them some")
+    if lidar and not bare:
+        raise ArgumentError("lidar", f"expected a file with LiDARs that lack beams, got none in {file}; leave it out")
+    models = [
+        lidar.camera_model() if lidar and each.lacks_beams else _model(each, lenses, options, file) for each in read
+    ]
     # of a mirrored camera the image's x turns round as well
     before, behind = (_MIRROR, np.diag([-1.0, 1.0, 1.0, 1.0])) if options.mirror_y else (np.eye(4), np.eye(4))
     try:
         rig = Rig(
             RigCamera.at(_fit_name(camera.name), ego_from_file @ before @ camera.file_from_camera @ behind, model)
-            for camera, model in zip(found.cameras, models, strict=True)
+            for camera, model in zip(read, models, strict=True)
         )
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     cameras = rig.cameras
+    if lidar:
+        cameras = tuple(
+            replace(camera, module=lidar.name, housing=lidar.housing) if each.lacks_beams else camera
+            for camera, each in zip(cameras, read, strict=True)
+        )
+        rig = Rig(cameras)
     for camera in cameras:
         if np.linalg.norm(camera.position_m) > FAR_M:
             position = ", ".join(f"{value:g}" for value in camera.position_m)
@@ -185,8 +206,13 @@ def import_rig_with_notes(
             "`accept_mirrored` takes it as it is"
         )
     count = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}"
+    lidar_count = sum(camera.model.beams is not None for camera in cameras)
+    count += f" ({lidar_count} of them LiDARs)" if lidar_count else ""
     notes = [f"{file}: read {count} as {form.name}: {form.frame}", *found.notes, *lens_notes, *folded_lenses(cameras)]
-    renamed = [camera.name for camera in found.cameras if camera.name != _fit_name(camera.name)]
+    if bare:
+        how = f"read with those of {lidar.name}" if lidar else "not read; `lidar` MODULE gives them those of a module"
+        notes.append(f"{', '.join(bare)}: LiDARs whose beams the file does not hold, {how}")
+    renamed = [camera.name for camera in read if camera.name != _fit_name(camera.name)]
     if renamed:
         notes.append(f"names keep letters, digits, '_', '-' and '.': {renamed[0]!r} becomes {_fit_name(renamed[0])!r}")
     notes += _origin_notes(form, options.origin_m)
@@ -261,12 +287,7 @@ def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options
         names = ", ".join(name for name in RIG_FORMATS if name not in IMPORTED_ONLY)
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(_placement(options.origin_m, options.origin_rpy_deg))
-    cameras = [camera for camera in rig.cameras if camera.model.beams is None]
-    for lidar in (camera for camera in rig.cameras if camera.model.beams is not None):
-        losses.leave_out(lidar.name, "a LiDAR")
-    if not cameras:
-        raise InputError(f"{form.name}: expected a rig with a camera, got LiDARs alone, which it cannot represent")
-    placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in cameras]
+    placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
     if options.vehicle is None:
         return form.written(placed, target, losses)
     if not form.holds_vehicle:
@@ -324,7 +345,20 @@ def _lenses(file: Path, options: ImportOptions) -> tuple[dict[str, Optics], list
     return {_key(name): optics for name, optics in found.items()}, notes
 
 
+def _lidar_module(name: str | None) -> Module | None:
+    modules = {each.name: each for each in builtin_modules().values() if each.beams}
+    if name is not None and name not in modules:
+        raise ArgumentError("lidar", f"expected one of {', '.join(modules)}, got {name!r}{nearest(name, modules)}")
+    return None if name is None else modules[name]
+
+
 def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOptions, file: Path) -> CameraModel:
+    if isinstance(camera.optics, CameraModel):
+        beams = camera.optics.beams
+        if beams is None or not options.mirror_y:
+            return camera.optics
+        right_rad, left_rad = beams.azimuth_rad
+        return CameraModel.of_beams(replace(beams, azimuth_rad=(-left_rad, -right_rad)), camera.optics.near_m)
     location = f"{file}: camera {camera.name!r}"
     optics = lenses.get(_key(camera.name)) or camera.optics
     if optics is None:
@@ -342,7 +376,7 @@ def _model(camera: FoundCamera, lenses: dict[str, Optics], options: ImportOption
             raise InputError(
                 f"{location}: expected the image's size, which the file does not hold; give `width_px` and `height_px`"
             )
-        optics = dataclasses.replace(optics, width_px=options.width_px, height_px=options.height_px)
+        optics = replace(optics, width_px=options.width_px, height_px=options.height_px)
     if optics.off_px >= READ_PX and not options.approximate:
         raise InputError(
             f"{location}: expected a lens that one of warpav's comes within {READ_PX:g} px of, got one that it is off "

@@ -25,7 +25,7 @@ import numpy as np
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, feather_library, read_arrow, read_text, refuse_levels
 from warpav.core.errors import InputError
-from warpav.core.frames import quaternion_from_rotation
+from warpav.core.frames import FLU_FROM_RDF, quaternion_from_rotation
 from warpav.raster.lens import Lens
 from warpav.rig.formats._format import (
     Found,
@@ -49,17 +49,23 @@ from warpav.rig.formats._format import (
 _TABLE = "calibrated_sensor.json"
 _CHUNK = 1 << 20
 _BETWEEN = re.compile(r"[\s,]*")
+_LIDAR_FROM_RDF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""The axes of nuScenes's LiDAR are x right, y forward, z up."""
 
 
 def _read_nuscenes(file: Path, part: str | None) -> Found:
-    """The cameras of a calibrated_sensor table, or of one scene of the data set (``part``)."""
-    rows = [row for row in _rows(file) if row.peek("camera_intrinsic").value != []]
+    """The cameras and LiDARs of a calibrated_sensor table, or of one scene of the data set (``part``)."""
+    name_of, lidars = _names(file.parent)
+    rows = [
+        row
+        for row in _rows(file)
+        if row.peek("camera_intrinsic").value != [] or row.peek("sensor_token").value in lidars
+    ]
     if part is not None:
         used = _tokens_of_scene(file.parent, part)
         rows = [row for row in rows if row.peek("token").text() in used]
     if not rows:
         raise InputError(f"{file}: expected rows with a camera_intrinsic, got none" + (f" of {part}" if part else ""))
-    name_of = _names(file.parent)
     names = [name_of.get(row.at("sensor_token").text(""), f"camera_{i}") for i, row in enumerate(rows)]
     name, count = Counter(names).most_common(1)[0]
     if count > 1:
@@ -67,13 +73,19 @@ def _read_nuscenes(file: Path, part: str | None) -> Found:
             f"{file}: expected one row a camera, got {count} of {name}; `part` SCENE takes those of a scene, such as "
             "`part` scene-0061 (scene.json, sample.json and sample_data.json must lie beside the file)"
         )
-    size_of = _sizes(file.parent, {row.at("token").text("") for row in rows})
+    are_lidars = [row.at("sensor_token").value in lidars for row in rows]
+    with_images = (row for row, is_lidar in zip(rows, are_lidars, strict=True) if not is_lidar)
+    size_of = _sizes(file.parent, {row.at("token").text("") for row in with_images})
     cameras = []
-    for row, name in zip(rows, names, strict=True):
+    for row, name, is_lidar in zip(rows, names, are_lidars, strict=True):
         rotation = row.at("rotation")
         transform = rigid_transform(
             rotation.unit_quaternion(rotation.numbers(4)), row.at("translation").numbers(3), rotation
         )
+        if is_lidar:
+            transform[:3, :3] = transform[:3, :3] @ _LIDAR_FROM_RDF
+            cameras.append(FoundCamera(name, transform, lacks_beams=True))
+            continue
         width_px, height_px = size_of.get(row.at("token").text(""), (None, None))
         bent = row.at("camera_distortion")  # of nuImages and T4
         optics = optics_of_matrix(
@@ -85,7 +97,10 @@ def _read_nuscenes(file: Path, part: str | None) -> Found:
         )
         cameras.append(FoundCamera(name, transform, optics))
     notes = () if name_of else ("there is no sensor.json beside the file, so cameras are numbered",)
-    return Found(tuple(cameras), (*notes, *unread_note(file, (key for row in rows for key in row.unread()))))
+    return Found(
+        tuple(cameras),
+        (*notes, *unread_note(file, (key for row in rows for key in row.unread("token", "camera_intrinsic")))),
+    )
 
 
 def _opencv_distortion(record: Record) -> list[float]:
@@ -133,11 +148,12 @@ def _row_by_row(file: Path) -> Iterator[Record]:
         raise InputError(f"{file}: expected valid JSON, got a mistake in or behind row {count}")
 
 
-def _names(folder: Path) -> dict[str, str]:
+def _names(folder: Path) -> tuple[dict[str, str], set[str]]:
+    """Names of sensors by their tokens, and the tokens of LiDARs."""
     file = folder / "sensor.json"
-    if not file.is_file():
-        return {}
-    return {row.at("token").text(): row.at("channel").text() for row in _rows(file)}
+    rows = _rows(file) if file.is_file() else []
+    lidars = {row.at("token").text() for row in rows if row.at("modality").value == "lidar"}
+    return {row.at("token").text(): row.at("channel").text() for row in rows}, lidars
 
 
 def _sizes(folder: Path, tokens: set[str]) -> dict[str, tuple[int, int]]:
@@ -174,18 +190,22 @@ def _write_nuscenes(cameras: Sequence[PlacedCamera], target: Path, losses: Losse
     """The table and the two beside it; of sample_data only the image sizes."""
     tables: dict[str, list[dict]] = {_TABLE: [], "sensor.json": [], "sample_data.json": []}
     for camera in cameras:
-        model = pinhole_of(camera, losses)
+        model = None if camera.model.beams else pinhole_of(camera, losses)
+        turn = camera.file_from_camera[:3, :3] @ (np.eye(3) if model else _LIDAR_FROM_RDF.T)
         sensor, calibration, data = (_token(kind, camera.name) for kind in ("sensor", "calibration", "data"))
-        tables["sensor.json"].append({"token": sensor, "channel": camera.name, "modality": "camera"})
+        named = {"channel": camera.name, "modality": "camera" if model else "lidar"}
+        tables["sensor.json"].append({"token": sensor, **named})
         tables[_TABLE].append(
             {
                 "token": calibration,
                 "sensor_token": sensor,
                 "translation": camera.file_from_camera[:3, 3].tolist(),
-                "rotation": quaternion_from_rotation(camera.file_from_camera[:3, :3]).tolist(),
-                "camera_intrinsic": camera_matrix(model),
+                "rotation": quaternion_from_rotation(turn).tolist(),
+                "camera_intrinsic": camera_matrix(model) if model else [],
             }
         )
+        if model is None:
+            continue
         tables["sample_data.json"].append(
             {
                 "token": data,
@@ -221,7 +241,7 @@ _CAMERA, _DISTORTION = ("fx_px", "fy_px", "cx_px", "cy_px"), ("k1", "k2", "k3")
 
 
 def _read_argoverse2(path: Path) -> Found:
-    """The cameras of a log's calibration: its folder, the folder above it, or the file of poses."""
+    """The cameras and LiDARs of a log's calibration: its folder, the folder above it, or the file of poses."""
     folder = path if path.is_dir() else path.parent
     if path.is_dir() and (path / "calibration").is_dir():
         folder = path / "calibration"
@@ -230,13 +250,16 @@ def _read_argoverse2(path: Path) -> Found:
     is_distorted = False
     for row in _feather_rows(folder / _POSES):
         name = row.peek("sensor_name").text()
-        if name not in lenses:
-            continue  # a lidar
         row.at("sensor_name")
         quaternion = [row.at(column).number() for column in _QUATERNION]
         transform = rigid_transform(
             row.unit_quaternion(quaternion), [row.at(column).number() for column in _POSITION], row
         )
+        unread += row.unread()
+        if name not in lenses:
+            transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
+            cameras.append(FoundCamera(name, transform, lacks_beams=True))
+            continue
         lens = lenses[name]
         intrinsics_px = [lens.at(column).number() for column in _CAMERA]
         at = Record(f"{lens.location}: {', '.join(_CAMERA)}", intrinsics_px)
@@ -244,9 +267,9 @@ def _read_argoverse2(path: Path) -> Found:
         optics = optics_of(at, *intrinsics_px, width_px=width_px, height_px=height_px)
         is_distorted |= any(lens.peek(column).number(0.0) for column in _DISTORTION)
         cameras.append(FoundCamera(name, transform, optics))
-        unread += [*row.unread(), *lens.unread("sensor_name", *_DISTORTION)]
+        unread += lens.unread("sensor_name", *_DISTORTION)
     if not cameras:
-        raise InputError(f"{folder / _POSES}: expected a sensor that {_INTRINSICS} names, got none")
+        raise InputError(f"{folder / _POSES}: expected a sensor, got none")
     note = "k1, k2, k3 are not read: Argoverse 2 publishes undistorted images, they belong to the lens before that"
     return Found(tuple(cameras), (*((note,) if is_distorted else ()), *unread_note(folder, unread)))
 
@@ -262,14 +285,19 @@ def _write_argoverse2(cameras: Sequence[PlacedCamera], target: Path, losses: Los
     columns = (*_CAMERA, *_DISTORTION, "height_px", "width_px")
     lenses: dict[str, list] = {"sensor_name": [], **{name: [] for name in columns}}
     for camera in cameras:
-        model = pinhole_of(camera, losses)
-        quaternion = quaternion_from_rotation(camera.file_from_camera[:3, :3])
+        is_lidar = camera.model.beams is not None
+        turn = camera.file_from_camera[:3, :3] @ (FLU_FROM_RDF.T if is_lidar else np.eye(3))
+        quaternion = quaternion_from_rotation(turn)
         pose = [camera.name, *quaternion.tolist(), *camera.file_from_camera[:3, 3].tolist()]
+        for column, value in zip(poses.values(), pose, strict=True):
+            column.append(value)
+        if is_lidar:
+            continue
+        model = pinhole_of(camera, losses)
         (fx, _, cx), (_, fy, cy), _ = camera_matrix(model)
         lens = [camera.name, fx, fy, cx, cy, 0.0, 0.0, 0.0, model.height_px, model.width_px]
-        for table, row in ((poses, pose), (lenses, lens)):
-            for column, value in zip(table.values(), row, strict=True):
-                column.append(value)
+        for column, value in zip(lenses.values(), lens, strict=True):
+            column.append(value)
     kinds = {"sensor_name": arrow.string(), "height_px": arrow.uint16(), "width_px": arrow.uint16()}
     folder = target if target.name == "calibration" else target / "calibration"
     files = {}
@@ -398,25 +426,27 @@ FORMATS = (
     RigFormat(
         "nuscenes",
         frame="sensor to vehicle, x forward, y left, z up, right-handed, metres; quaternions w x y z; cameras x right, "
-        "y down, z forward",
+        "y down, z forward; LiDARs x right, y forward, z up",
         origin="below the centre of the rear axle",
         is_ego_origin=True,
         files=(_TABLE,),
         suffixes=(".json",),
         read=_read_nuscenes,
         write=_write_nuscenes,
+        lidars="frames",
         parts="a scene of the data set, such as scene-0061",
     ),
     RigFormat(
         "argoverse2",
         frame="sensor to vehicle, x forward, y left, z up, right-handed, metres; quaternions w x y z; cameras x right, "
-        "y down, z forward",
+        "y down, z forward; LiDARs x forward, y left, z up",
         origin="the centre of the rear axle itself, a wheel's radius above the ground (0.33 m on the Ford Fusion)",
         is_ego_origin=False,
         files=(_POSES, _INTRINSICS),
         suffixes=(".feather", ".yaml", ".yml", ".json", ".txt"),
         read=_read_argoverse2,
         write=_write_argoverse2,
+        lidars="frames",
     ),
     RigFormat(
         "kitti",

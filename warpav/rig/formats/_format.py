@@ -24,6 +24,7 @@ from warpav.core.frames import (
 )
 from warpav.core.records import nearest, place_of, unread_text
 from warpav.core.yaml_file import Location, dotted, read_yaml
+from warpav.raster.beams import Beams
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh
@@ -253,11 +254,15 @@ class Optics:
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A camera in a file; ``file_from_camera`` [4, 4]: its frame made right-handed, x forward, y left, z up [m]."""
+    """A camera in a file; ``file_from_camera`` [4, 4]: its frame made right-handed, x forward, y left, z up [m].
+
+    A LiDAR has the model of its beams, or ``lacks_beams`` where the file does not hold them.
+    """
 
     name: str
     file_from_camera: np.ndarray
-    optics: Optics | None = None
+    optics: Optics | CameraModel | None = None
+    lacks_beams: bool = False
 
 
 @dataclass(frozen=True)
@@ -310,6 +315,7 @@ class RigFormat:
         write: Of cameras, a path and `Losses`; of one camera and these losses where every camera has a file of its own.
             Returns what is to be written.
         holds_vehicle: Whether ``write`` takes ``vehicle`` too, a mesh or None.
+        lidars: What ``write`` takes of LiDARs: ``"beams"``, or ``"frames"`` alone; None: nothing.
     """
 
     name: str
@@ -324,6 +330,7 @@ class RigFormat:
     mirrored_hint: str = "is the file left-handed?"
     note: str = ""
     holds_vehicle: bool = False
+    lidars: str | None = None
 
     def found(self, path: Path, part: str | None) -> Found:
         """What is in a file or folder."""
@@ -337,6 +344,11 @@ class RigFormat:
         """The files of cameras, and of the vehicle in the file's frame, for a target, and what is to be in them."""
         assert self.write is not None
         losses.notes += [self.note] if self.note else []
+        for lidar in (each for each in cameras if each.model.beams and self.lidars != "beams"):
+            losses.leave_out(lidar.name, "the beams of a LiDAR (its frame stays)" if self.lidars else "a LiDAR")
+        cameras = [each for each in cameras if self.lidars or not each.model.beams]
+        if not cameras:
+            raise InputError(f"{self.name}: expected a camera, got LiDARs alone; choose another format")
         is_file = target.suffix.lower() in self.suffixes and not target.is_dir()
         if not self.files:
             if is_file and len(cameras) > 1:
@@ -439,3 +451,47 @@ def pinhole_of(camera: PlacedCamera, losses: Losses, *, is_centred: bool = False
     if model.focal_px is None and not any(model.distortion):
         return model
     return CameraModel(*size, 2.0 * math.atan(0.5 * size[0] / fx))
+
+
+LEAST_RANGE_M = 0.1  # where a file says none
+_SAME_RAD = 1e-7  # beams keep microdegrees
+
+
+def lidar_model(
+    location: str,
+    *,
+    elevation_rad: tuple[float, float],
+    lines: int,
+    step_rad: float,
+    azimuth_rad: tuple[float, float],
+    range_m: float,
+    least_range_m: float = 0.0,
+    rate_hz: float = 10.0,
+) -> CameraModel:
+    """The model of a LiDAR of evenly spread lines, of which a file holds the lowest and the highest."""
+    right, left = azimuth_rad
+    if left - right > 2.0 * math.pi - step_rad:  # whose last shot meets the first
+        right, left = -math.pi, math.pi
+    try:
+        up_rad = np.linspace(*elevation_rad, min(lines, MAX_IMAGE_PX))
+        beams = Beams(tuple(up_rad), step_rad, (right, left), (range_m, range_m), rate_hz=rate_hz)
+        return CameraModel.of_beams(beams, least_range_m or LEAST_RANGE_M)
+    except ValueError as error:
+        raise InputError(f"{location}: expected the beams of a LiDAR, got: {error}") from None
+
+
+def even_beams(camera: PlacedCamera, losses: Losses) -> Beams:
+    """The beams of a LiDAR, for formats that hold evenly spread lines and one range alone."""
+    beams = camera.model.beams
+    assert beams is not None
+    up_rad = np.array(beams.elevation_rad)
+    if beams.weight is not None:
+        losses.leave_out(camera.name, "the pattern of a LiDAR (as many shots on evenly spread lines stay)")
+    elif np.abs(up_rad - np.linspace(up_rad[0], up_rad[-1], len(up_rad))).max() > _SAME_RAD:
+        losses.leave_out(
+            camera.name, "the uneven spread of a LiDAR's lines (the lowest, the highest, their number stay)"
+        )
+    near_m, far_m = beams.range_m
+    if near_m < far_m:
+        losses.leave_out(camera.name, f"a LiDAR's range at 80 % reflectivity ({far_m:g} m; {near_m:g} m stay)")
+    return beams

@@ -20,6 +20,7 @@ from warpav.core.bounded_files import parse_xml, read_bytes
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.core.yaml_file import yaml_lines, yaml_number, yaml_row
+from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.formats._format import (
     Found,
@@ -31,7 +32,9 @@ from warpav.rig.formats._format import (
     RigFormat,
     brown_conrady,
     camera_matrix,
+    even_beams,
     is_number,
+    lidar_model,
     link_of_transform,
     optics_of_matrix,
     read_yaml_record,
@@ -135,8 +138,9 @@ def _matrix(name: str, matrix: np.ndarray) -> list[str]:
 
 
 def _camera_infos(cameras: Sequence[PlacedCamera], folder: Path, losses: Losses) -> dict[Path, bytes]:
-    """The files of all cameras, ``NAME.yaml`` each."""
-    return {folder / f"{camera.name}.yaml": _camera_info(camera, losses) for camera in cameras}
+    """The files of all cameras, ``NAME.yaml`` each; LiDARs have none."""
+    with_images = (camera for camera in cameras if not camera.model.beams)
+    return {folder / f"{camera.name}.yaml": _camera_info(camera, losses) for camera in with_images}
 
 
 # ------------------------------------------------------------------------------------------------------------- URDF
@@ -148,7 +152,13 @@ _LINK = re.compile(r"(.+?)[/_]camera_link|((?:.*[/_])?camera[^/]*?)_link")
 _NO_CAMERA = re.compile(
     r"(?:^|[/_])(?:accel|accelerometer|gyro|gyroscope|imu|depth|infra|infrared|ir|tof|lidar)\d*(?=[/_]|$)"
 )
+_LIDAR = re.compile(
+    r"(.+?)/lidar_(?:base_)?link|(?=.*(?:lidar|velodyne|hesai|ouster|pandar|livox|robosense))(.+?)(?:_base)?_(?:link|frame)",
+    re.IGNORECASE,
+)
+"""Links of LiDARs, by the words of Autoware's sensor kits and of drivers."""
 _SENSORS_WITH_COLOUR = ("camera", "wideanglecamera", "rgbd_camera", "rgbd", "multicamera")
+_SENSORS_OF_BEAMS = ("ray", "gpu_ray", "lidar", "gpu_lidar")
 _TAGS = {
     "robot": {"link", "joint", "material", "gazebo", "transmission", "ros2_control"},
     "joint": {
@@ -168,7 +178,7 @@ class _Joint:
 
 
 def _read_urdf(path: Path) -> Found:
-    """The cameras of a URDF: its optical links, and camera links that have none, relative to ``base_link``."""
+    """The cameras of a URDF: its optical links, and camera links that have none, relative to ``base_link``; LiDARs."""
     content = read_bytes(path, "a URDF file")
     root = parse_xml(content, str(path), "a URDF file")
     if root.tag != "robot":
@@ -177,7 +187,7 @@ def _read_urdf(path: Path) -> Found:
         raise InputError(f"{path}: expected a plain URDF, got xacro; run: xacro {path.name} > rig.urdf")
     links = [link.get("name", "")[:_NAME_MAX] for link in root.findall("link")]
     joint_of = _joints(root, path)
-    sensors, others = _simulated(root, path)
+    sensors, others, beams_of = _simulated(root, path)
     optical = {link: match[1] for link in links if (match := _OPTICAL.fullmatch(link))}
     for link in optical:  # a simulator's camera hangs at the link before the optical one, and looks along its x
         before = joint_of[link].parent if link in joint_of else link
@@ -190,25 +200,43 @@ def _read_urdf(path: Path) -> Found:
         if link not in optical and link not in above and (match := _LINK.fullmatch(link))
     }
     plain |= {link: re.sub(r"_(?:link|frame)$", "", link) for link in sensors if link in links and link not in optical}
-    if not optical and not plain:
+    name_of = {**optical, **plain}
+    both = [link for link in sensors if link in beams_of]
+    lidars = {link: re.sub(r"_(?:link|frame)$", "", link) for link in beams_of if link in links and link not in both}
+    lidars |= {
+        link: match[1] or match[2]
+        for link in links
+        if (link in lidars or link not in name_of) and (match := _LIDAR.fullmatch(link))
+    }
+    above = _above(lidars, joint_of)
+    lidars = {link: name for link, name in lidars.items() if link in beams_of or link not in above}
+    if not optical and not plain and not lidars:
         raise InputError(
             f"{path}: expected links such as front/camera_optical_link or front/camera_link, got none among "
             f"{len(links)} links"
         )
     base = _BASE if _BASE in links else next((link for link in links if link not in joint_of), links[0])
     tree = _Tree(base, joint_of, path)
-    name_of = {**optical, **plain}
     others |= {link for link, name in name_of.items() if link not in sensors and _NO_CAMERA.search(name)}
     if others >= name_of.keys():
         others = set()
-    cameras = []
+    cameras, notes = [], [f"{', '.join(both)}: the camera of <gazebo> is read, not the LiDAR"] if both else []
     for link in links:
-        if link in name_of and link not in others:
+        if link in lidars:
+            try:
+                transform = tree.base_from(link)
+            except InputError as error:
+                notes.append(f"LiDAR {lidars[link]} is not read: {error}")
+                continue
+            transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
+            model = beams_of.get(link)
+            cameras.append(FoundCamera(lidars[link], transform, model, lacks_beams=model is None))
+        elif link in name_of and link not in others:
             transform = tree.base_from(link)
             if link in plain:
                 transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
             cameras.append(FoundCamera(name_of[link], transform, sensors.get(link)))
-    notes = [] if base == _BASE else [f"there is no {_BASE}, so poses are relative to the root link {base}"]
+    notes += [] if base == _BASE else [f"there is no {_BASE}, so poses are relative to the root link {base}"]
     if left := [link for link in links if link in others & name_of.keys()]:
         notes.append(f"{', '.join(left)}: taken for no cameras, by their names or by <gazebo>")
     strange = (f"<{below.tag}>" for above in (root, *root.findall("joint")) for below in above
@@ -216,20 +244,28 @@ def _read_urdf(path: Path) -> Found:
     return Found(tuple(cameras), (*notes, *unread_note(path, strange)))
 
 
-def _simulated(root: ElementTree.Element, path: Path) -> tuple[dict[str, Optics], set[str]]:
-    """The images of <gazebo>'s cameras by the link that carries them, and the links of its other sensors."""
+def _simulated(
+    root: ElementTree.Element, path: Path
+) -> tuple[dict[str, Optics], set[str], dict[str, CameraModel | None]]:
+    """What <gazebo> holds by link: images of cameras, links of other sensors, LiDARs (None: of a single line)."""
     cameras: dict[str, Optics] = {}
     others: set[str] = set()
+    lidars: dict[str, CameraModel | None] = {}
     for holder in root.findall("gazebo"):
         link = holder.get("reference", "")[:_NAME_MAX]
         for sensor in holder.findall("sensor"):
-            if sensor.get("type") not in _SENSORS_WITH_COLOUR:
+            kind = sensor.get("type")
+            if kind not in (*_SENSORS_WITH_COLOUR, *_SENSORS_OF_BEAMS):
                 others.add(link)
                 continue
             place = f"{path}: <gazebo reference={link!r}>"
             pose = (sensor.findtext("pose") or "0").split()
             if any(word.strip("+-0.") for word in pose):
                 raise InputError(f"{place}: pose: expected none beside that of the link, got {' '.join(pose)!r}")
+            if kind in _SENSORS_OF_BEAMS:
+                others.add(link)
+                lidars[link] = _simulated_beams(sensor, place)
+                continue
             bent = [each for each in sensor.findall("camera/distortion/*") if each.tag != "center"]
             if any((each.text or "").strip("+-0. ") for each in bent) or sensor.find("camera/lens") is not None:
                 raise InputError(f"{place}: expected a camera without <distortion> and <lens>, got one")
@@ -238,11 +274,44 @@ def _simulated(root: ElementTree.Element, path: Path) -> tuple[dict[str, Optics]
             if not 0.0 < fov_rad < math.pi:
                 raise InputError(f"{place}: horizontal_fov: expected an angle between 0 and pi, got {fov_rad:g}")
             cameras[link] = Optics(int(width_px), int(height_px), fov_rad=fov_rad)
-    return cameras, others - cameras.keys()
+    return cameras, others - cameras.keys(), lidars
 
 
-def _number_below(element: ElementTree.Element, key: str, place: str) -> float:
-    text = element.findtext(key) or ""
+def _simulated_beams(sensor: ElementTree.Element, place: str) -> CameraModel | None:
+    """The model of a sensor with <ray> or <lidar>; rays lie at both angles and evenly between."""
+    below = "ray" if sensor.find("lidar") is None else "lidar"
+    horizontal, vertical = (f"{below}/scan/{name}" for name in ("horizontal", "vertical"))
+    lines = _samples(sensor, vertical, place, "1")
+    if lines == 1:  # which is no LiDAR of warpav
+        return None
+    shots = _samples(sensor, horizontal, place)
+    low, high, right, left = (
+        _number_below(sensor, f"{name}/{key}_angle", place) for name in (vertical, horizontal) for key in ("min", "max")
+    )
+    if shots < 2 or not right < left:
+        raise InputError(f"{place}: {horizontal}: expected 2 samples or more from min_angle up to max_angle, got other")
+    step_rad = (left - right) / (shots - 1)
+    return lidar_model(
+        place,
+        elevation_rad=(low, high),
+        lines=lines,
+        step_rad=step_rad,
+        azimuth_rad=(right - 0.5 * step_rad, left + 0.5 * step_rad),
+        range_m=_number_below(sensor, f"{below}/range/max", place),
+        least_range_m=_number_below(sensor, f"{below}/range/min", place, "0"),
+        rate_hz=_number_below(sensor, "update_rate", place, "10"),
+    )
+
+
+def _samples(sensor: ElementTree.Element, key: str, place: str, default: str = "") -> int:
+    """Points of a scan: rays, and those that <resolution> adds between or takes away."""
+    return round(
+        _number_below(sensor, f"{key}/samples", place, default) * _number_below(sensor, f"{key}/resolution", place, "1")
+    )
+
+
+def _number_below(element: ElementTree.Element, key: str, place: str, default: str = "") -> float:
+    text = element.findtext(key) or default
     try:
         return Record(f"{place}: {key}", float(text)).number()
     except ValueError as error:
@@ -345,18 +414,49 @@ class _Tree:
 
 
 def _write_urdf(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """``NAME/camera_link`` and ``NAME/camera_optical_link`` below ``base_link``; camera_info files beside it."""
+    """``NAME/camera_link`` and ``NAME/camera_optical_link`` below ``base_link``; camera_info files beside it.
+
+    LiDARs have ``NAME/lidar_link``, and their beams stand in <gazebo>.
+    """
     robot = ElementTree.Element("robot", name="rig")
     ElementTree.SubElement(robot, "link", name=_BASE)
     optical_rpy = (-0.5 * math.pi, 0.0, -0.5 * math.pi)
     for camera in cameras:
-        link, optical = f"{camera.name}/camera_link", f"{camera.name}/camera_optical_link"
+        kind = "lidar" if camera.model.beams else "camera"
+        link, optical = f"{camera.name}/{kind}_link", f"{camera.name}/camera_optical_link"
         position_m, angle = link_of_transform(camera.file_from_camera)
         _add_link(robot, _BASE, link, position_m, [angle["roll_rad"], angle["pitch_rad"], angle["yaw_rad"]])
+        if camera.model.beams:
+            _add_beams(robot, link, camera, losses)
+            continue
         _add_link(robot, link, optical, (0.0, 0.0, 0.0), optical_rpy)
     ElementTree.indent(robot)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
     return {target: text.encode(), **_camera_infos(cameras, target.parent / FOLDER, losses)}
+
+
+def _add_beams(robot: ElementTree.Element, link: str, camera: PlacedCamera, losses: Losses) -> None:
+    """The shots of one scan: rays from the middle of the last cell to that of the first one at the left."""
+    beams = even_beams(camera, losses)
+    shots = max(round(beams.sector_rad / beams.step_rad), 2)
+    left_rad = beams.azimuth_rad[1] - 0.5 * beams.step_rad
+    up_rad = beams.elevation_rad
+    gazebo = f"""<gazebo reference="{link}"><sensor name="{camera.name}" type="gpu_lidar">
+        <update_rate>{beams.rate_hz!r}</update_rate>
+        <lidar>
+            <scan>
+                <horizontal><samples>{shots}</samples>
+                    <min_angle>{left_rad - (shots - 1) * beams.step_rad!r}</min_angle>
+                    <max_angle>{left_rad!r}</max_angle>
+                </horizontal>
+                <vertical><samples>{len(up_rad)}</samples>
+                    <min_angle>{up_rad[0]!r}</min_angle><max_angle>{up_rad[-1]!r}</max_angle>
+                </vertical>
+            </scan>
+            <range><min>{camera.model.near_m!r}</min><max>{beams.range_m[0]!r}</max></range>
+        </lidar>
+    </sensor></gazebo>"""
+    robot.append(ElementTree.fromstring(gazebo))
 
 
 def _add_link(robot: ElementTree.Element, parent: str, child: str, xyz: Sequence[float], rpy: Sequence[float]) -> None:
@@ -393,8 +493,11 @@ def _read_autoware(path: Path) -> Found:
         for parent, below in record.mapping().items():
             links |= {child: (parent, each) for child, each in below.mapping(f"a mapping of links at {parent}").items()}
     placed: list[tuple[str, np.ndarray]] = []
+    lidars: dict[str, str] = {}
     for link in links:
-        if not _LINK_NAME.fullmatch(link) or "camera" not in link:
+        if (match := _LIDAR.fullmatch(link[:_NAME_MAX])) and "camera" not in link:
+            lidars[link] = match[1] or match[2]
+        elif not _LINK_NAME.fullmatch(link) or "camera" not in link:
             continue
         transform, at = np.eye(4), link
         for _ in range(_UNITS_MAX):
@@ -407,16 +510,20 @@ def _read_autoware(path: Path) -> Found:
     if not placed:
         raise InputError(f"{folder / _KIT}: {_KIT_LINK}: expected links such as camera0/camera_link, got none")
     notes = [note for file, record in zip(files, records, strict=True) for note in unread_note(file, record.unread())]
-    likely = [link for link, transform in placed if "optical" not in link and _is_upright(transform)]
-    are_optical = len(likely) > 1 and len(likely) == sum("optical" not in link for link, _ in placed)
+    plain = [link for link, _ in placed if "optical" not in link and link not in lidars]
+    likely = [link for link, transform in placed if link in plain and _is_upright(transform)]
+    are_optical = len(likely) > 1 and likely == plain
     if likely:
         how = "is read so" if are_optical else "is not read so; name such a link camera_optical_link"
         notes.append(f"{', '.join(likely)}: x right, y down, z forward, as an optical frame, by its angles; it {how}")
     for link, transform in placed:
-        if "optical" not in link and not are_optical:
+        if link in lidars or (link in plain and not are_optical):
             transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
-    names = [match[1] for link, _ in placed if (match := _LINK_NAME.fullmatch(link))]
-    return Found(tuple(map(FoundCamera, names, (transform for _, transform in placed))), tuple(notes))
+    cameras = (
+        FoundCamera(lidars.get(link) or _LINK_NAME.fullmatch(link)[1], transform, lacks_beams=link in lidars)  # pyright: ignore[reportOptionalSubscript]
+        for link, transform in placed
+    )
+    return Found(tuple(cameras), tuple(notes))
 
 
 def _is_upright(transform: np.ndarray) -> bool:
@@ -439,12 +546,17 @@ def _write_autoware(cameras: Sequence[PlacedCamera], target: Path, losses: Losse
     # cameras that all lie on their side have links as optical frames are; they are written as such frames
     link_from_camera = np.eye(4)
     link_from_camera[:3, :3] = FLU_FROM_RDF
-    lie = len(cameras) > 1 and all(_is_upright(each.file_from_camera @ link_from_camera.T) for each in cameras)
+    with_images = [each.file_from_camera for each in cameras if not each.model.beams]
+    lie = len(with_images) > 1 and all(_is_upright(each @ link_from_camera.T) for each in with_images)
     for camera in cameras:
-        placed = camera.file_from_camera @ link_from_camera if lie else camera.file_from_camera
+        placed, link = camera.file_from_camera, "camera_link"
+        if camera.model.beams:
+            link = "lidar_base_link"
+        elif lie:
+            placed, link = placed @ link_from_camera, "camera_optical_link"
         position_m, angle = link_of_transform(placed)
         numbers = [*position_m, angle["roll_rad"], angle["pitch_rad"], angle["yaw_rad"]]
-        kit[f"{camera.name}/camera_{'optical_' if lie else ''}link"] = _link(numbers)
+        kit[f"{camera.name}/{link}"] = _link(numbers)
     contents = {_SENSORS: {_BASE: {_KIT_LINK: _link([0.0] * 6)}}, _KIT: {_KIT_LINK: kit}}
     return {
         **{target / name: ("\n".join(yaml_lines(content)) + "\n").encode() for name, content in contents.items()},
@@ -467,6 +579,7 @@ FORMATS = (
         suffixes=(".urdf", ".xml"),
         read=_read_urdf,
         write=_write_urdf,
+        lidars="beams",
     ),
     RigFormat(
         "camera-info",
@@ -489,5 +602,6 @@ FORMATS = (
         suffixes=(".yaml", ".yml"),
         read=_read_autoware,
         write=_write_autoware,
+        lidars="frames",
     ),
 )
