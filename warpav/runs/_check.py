@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
 from collections.abc import Iterator
@@ -147,10 +146,16 @@ def _seen(rig: Rig, ego: Mesh, device: str) -> Iterator[Item]:
 
 
 def _far(rig: Rig, ego: Mesh, device: str) -> Iterator[Item]:
-    """How far ahead road users of each class are found; none where no model of the detector speaks for a camera."""
-    with contextlib.suppress(InputError):
-        found = DetectionRange.of(rig, ego, azimuth_count=8, device=device)
-        limit_m, range_m = found.limit_m(), found.range_m(0.9)
-        for row, category in enumerate(found.categories):
-            text = f"{min(range_m[row, 0], limit_m[row, 0]):.0f} m ahead"
-            yield Item(f"Far field: {category} found with probability 0.9", "", text, "", None, False)
+    """How far ahead the cameras find road users of each class."""
+    cameras = [each for each in rig.cameras if each.model.beams is None]
+    try:
+        if not cameras:
+            raise InputError("the rig has LiDARs alone")
+        found = DetectionRange.of(Rig(cameras), ego, azimuth_count=8, device=device)
+    except InputError as error:
+        yield Item("Far field", "", f"not known: {error}", "", None, False)
+        return
+    limit_m, range_m = found.limit_m(), found.range_m(0.9)
+    for row, category in enumerate(found.categories):
+        text = f"{min(range_m[row, 0], limit_m[row, 0]):.0f} m ahead"
+        yield Item(f"Far field: {category} found with probability 0.9", "", text, "", None, False)
