@@ -139,7 +139,7 @@ def _rig_check(
     for text in oddities(found):
         say(f"odd: {text}")
     fit, unfit = formats_for(found)
-    say(f"can be exported as {', '.join(fit)}")
+    say(f"can be exported as {', '.join(fit) or 'no format without loss'}")
     for name, reason in unfit.items():
         say(with_flags(f"not as {name}: {reason}"))
     mirrored = [] if accept_mirrored else list(mirrored_cameras(found.cameras))

@@ -36,9 +36,8 @@ def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
             continue
         side = sides.pop()
         forward_y = camera.ego_from_camera[1, 2]
-        looks_away = _SIDES[side] * forward_y < -_LOOKS
-        if camera.model.beams and camera.model.beams.is_all_round:
-            looks_away = False
+        is_all_round = camera.model.beams is not None and camera.model.beams.is_all_round
+        looks_away = not is_all_round and _SIDES[side] * forward_y < -_LOOKS
         is_wrong = _SIDES[side] * camera.position_m[1] < -_LIES_M or looks_away
         if is_wrong:
             yaw_deg = math.degrees(math.atan2(forward_y, camera.ego_from_camera[0, 2]))

@@ -592,7 +592,7 @@ def test_gazebos_rays_are_the_shots(tmp_path, kind, below):
 
 def test_carlas_beams_are_read(tmp_path):
     """A Velodyne HDL-64 as CARLA's examples have it, to the right of the middle."""
-    sensor = {"type": "sensor.lidar.ray_cast", "id": "LIDAR", "x": 0.7, "y": 0.4, "z": 1.6, "yaw": 90.0}
+    sensor = {"type": "sensor.lidar.ray_cast", "id": "lidar_right", "x": 0.7, "y": 0.4, "z": 1.6, "yaw": -90.0}
     sensor |= {"channels": 64, "range": 100, "points_per_second": 1152000, "rotation_frequency": "10"}
     sensor |= {"upper_fov": 2.0, "lower_fov": -24.8, "noise_stddev": 0.1}
     file = tmp_path / "sensors.json"
@@ -600,7 +600,7 @@ def test_carlas_beams_are_read(tmp_path):
     rig, notes = import_rig_with_notes(file, "carla-python")
     (lidar,) = rig.cameras
     assert lidar.position_m == pytest.approx([0.7, -0.4, 1.6])
-    assert math.degrees(lidar.yaw_rad) == pytest.approx(-90.0)
+    assert math.degrees(lidar.yaw_rad) == pytest.approx(90.0)  # no mistake where it sees all round
     assert lidar.model.beams == Beams(
         tuple(np.radians(np.linspace(-24.8, 2.0, 64))), math.radians(0.2), range_m=(100, 100)
     )
@@ -609,7 +609,7 @@ def test_carlas_beams_are_read(tmp_path):
     file.write_text(json.dumps([sensor]))
     rig, notes = import_rig_with_notes(file, "carla-python")
     assert math.degrees(rig.cameras[0].model.beams.elevation_rad[-1]) == pytest.approx(10.0)
-    assert notes[1] == "LIDAR: CARLA's defaults, upper_fov 10"
+    assert notes[1] == "lidar_right: CARLA's defaults, upper_fov 10"
     for key, value in (("points_per_second", 0), ("channels", 9000), ("lower_fov", 20.0), ("range", -1.0)):
         file.write_text(json.dumps([sensor | {key: value}]))
         with pytest.raises(

@@ -178,19 +178,17 @@ def import_rig_with_notes(
     # of a mirrored camera the image's x turns round as well
     before, behind = (_MIRROR, np.diag([-1.0, 1.0, 1.0, 1.0])) if options.mirror_y else (np.eye(4), np.eye(4))
     try:
-        rig = Rig(
+        cameras = [
             RigCamera.at(_fit_name(camera.name), ego_from_file @ before @ camera.file_from_camera @ behind, model)
             for camera, model in zip(read, models, strict=True)
+        ]
+        rig = Rig(
+            replace(camera, module=lidar.name, housing=lidar.housing) if lidar and each.lacks_beams else camera
+            for camera, each in zip(cameras, read, strict=True)
         )
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     cameras = rig.cameras
-    if lidar:
-        cameras = tuple(
-            replace(camera, module=lidar.name, housing=lidar.housing) if each.lacks_beams else camera
-            for camera, each in zip(cameras, read, strict=True)
-        )
-        rig = Rig(cameras)
     for camera in cameras:
         if np.linalg.norm(camera.position_m) > FAR_M:
             position = ", ".join(f"{value:g}" for value in camera.position_m)

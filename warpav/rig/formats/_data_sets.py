@@ -56,11 +56,8 @@ _LIDAR_FROM_RDF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 def _read_nuscenes(file: Path, part: str | None) -> Found:
     """The cameras and LiDARs of a calibrated_sensor table, or of one scene of the data set (``part``)."""
     name_of, lidars = _names(file.parent)
-    rows = [
-        row
-        for row in _rows(file)
-        if row.peek("camera_intrinsic").value != [] or row.peek("sensor_token").value in lidars
-    ]
+    rows = _rows(file)
+    rows = [row for row in rows if row.peek("camera_intrinsic").value != [] or row.at("sensor_token").value in lidars]
     if part is not None:
         used = _tokens_of_scene(file.parent, part)
         rows = [row for row in rows if row.peek("token").text() in used]
@@ -73,16 +70,15 @@ def _read_nuscenes(file: Path, part: str | None) -> Found:
             f"{file}: expected one row a camera, got {count} of {name}; `part` SCENE takes those of a scene, such as "
             "`part` scene-0061 (scene.json, sample.json and sample_data.json must lie beside the file)"
         )
-    are_lidars = [row.at("sensor_token").value in lidars for row in rows]
-    with_images = (row for row, is_lidar in zip(rows, are_lidars, strict=True) if not is_lidar)
-    size_of = _sizes(file.parent, {row.at("token").text("") for row in with_images})
+    with_images = {row.at("token").text("") for row in rows if row.at("sensor_token").value not in lidars}
+    size_of = _sizes(file.parent, with_images)
     cameras = []
-    for row, name, is_lidar in zip(rows, names, are_lidars, strict=True):
+    for row, name in zip(rows, names, strict=True):
         rotation = row.at("rotation")
         transform = rigid_transform(
             rotation.unit_quaternion(rotation.numbers(4)), row.at("translation").numbers(3), rotation
         )
-        if is_lidar:
+        if row.at("sensor_token").value in lidars:
             transform[:3, :3] = transform[:3, :3] @ _LIDAR_FROM_RDF
             cameras.append(FoundCamera(name, transform, lacks_beams=True))
             continue
@@ -97,10 +93,8 @@ def _read_nuscenes(file: Path, part: str | None) -> Found:
         )
         cameras.append(FoundCamera(name, transform, optics))
     notes = () if name_of else ("there is no sensor.json beside the file, so cameras are numbered",)
-    return Found(
-        tuple(cameras),
-        (*notes, *unread_note(file, (key for row in rows for key in row.unread("token", "camera_intrinsic")))),
-    )
+    unread = (key for row in rows for key in row.unread("token", "camera_intrinsic"))
+    return Found(tuple(cameras), (*notes, *unread_note(file, unread)))
 
 
 def _opencv_distortion(record: Record) -> list[float]:
@@ -193,8 +187,8 @@ def _write_nuscenes(cameras: Sequence[PlacedCamera], target: Path, losses: Losse
         model = None if camera.model.beams else pinhole_of(camera, losses)
         turn = camera.file_from_camera[:3, :3] @ (np.eye(3) if model else _LIDAR_FROM_RDF.T)
         sensor, calibration, data = (_token(kind, camera.name) for kind in ("sensor", "calibration", "data"))
-        named = {"channel": camera.name, "modality": "camera" if model else "lidar"}
-        tables["sensor.json"].append({"token": sensor, **named})
+        modality = "camera" if model else "lidar"
+        tables["sensor.json"].append({"token": sensor, "channel": camera.name, "modality": modality})
         tables[_TABLE].append(
             {
                 "token": calibration,

@@ -443,18 +443,12 @@ def _add_beams(robot: ElementTree.Element, link: str, camera: PlacedCamera, loss
     up_rad = beams.elevation_rad
     gazebo = f"""<gazebo reference="{link}"><sensor name="{camera.name}" type="gpu_lidar">
         <update_rate>{beams.rate_hz!r}</update_rate>
-        <lidar>
-            <scan>
-                <horizontal><samples>{shots}</samples>
-                    <min_angle>{left_rad - (shots - 1) * beams.step_rad!r}</min_angle>
-                    <max_angle>{left_rad!r}</max_angle>
-                </horizontal>
-                <vertical><samples>{len(up_rad)}</samples>
-                    <min_angle>{up_rad[0]!r}</min_angle><max_angle>{up_rad[-1]!r}</max_angle>
-                </vertical>
-            </scan>
-            <range><min>{camera.model.near_m!r}</min><max>{beams.range_m[0]!r}</max></range>
-        </lidar>
+        <lidar><scan><horizontal><samples>{shots}</samples>
+            <min_angle>{left_rad - (shots - 1) * beams.step_rad!r}</min_angle><max_angle>{left_rad!r}</max_angle>
+        </horizontal><vertical><samples>{len(up_rad)}</samples>
+            <min_angle>{up_rad[0]!r}</min_angle><max_angle>{up_rad[-1]!r}</max_angle>
+        </vertical></scan>
+        <range><min>{camera.model.near_m!r}</min><max>{beams.range_m[0]!r}</max></range></lidar>
     </sensor></gazebo>"""
     robot.append(ElementTree.fromstring(gazebo))
 
