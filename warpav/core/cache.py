@@ -39,9 +39,11 @@ _IMPORT = re.compile(
 def user_cache_folder(name: str) -> Path:
     """A folder of the user's cache, by its name; it may not exist yet, and without a home it never does."""
     try:
-        return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / name
-    except RuntimeError:  # neither HOME nor a home of the user, as in containers
-        return Path(os.devnull) / name
+        folder = Path(platformdirs.user_cache_dir("warpav", appauthor=False))
+    except RuntimeError:
+        folder = Path("~")
+    # neither HOME nor a home of the user, as in containers
+    return (Path(os.devnull) if folder.parts[0] == "~" else folder) / name
 
 
 def made_files(

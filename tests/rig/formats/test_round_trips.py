@@ -33,6 +33,7 @@ BOTH_WAYS = [
     for name in RIG_FORMATS
     if name not in (*IMPORTED_ONLY, *EXPORTED_ONLY)
 ]
+EXTRAS = {"argoverse2", "usd"}
 ANY_LENS = ("urdf", "autoware", "opencv", "alpasim")
 CENTRED = ("carla-ros-bridge", "carla-python")
 
@@ -142,9 +143,9 @@ def test_every_rig_says_which_formats_hold_it():
     for name, model in cameras.items():
         fit, unfit = formats_for(Rig([RigCamera(name, np.zeros(3), 0.0, 0.0, 0.0, model)]))
         assert {*fit, *unfit} == set(RIG_FORMATS) - {*IMPORTED_ONLY}
-        assert all(name in reason for other, reason in unfit.items() if other != "argoverse2")
-        fitting[name] = set(fit) - {"argoverse2"}
-    lenses = {"urdf", "autoware", "camera-info", "opencv", "alpasim", "usd", "driveworks"}
+        assert all(name in reason for other, reason in unfit.items() if other not in EXTRAS)
+        fitting[name] = set(fit) - EXTRAS
+    lenses = {"urdf", "autoware", "camera-info", "opencv", "alpasim", "driveworks"}
     assert fitting["plain"] == {*lenses, "nuscenes", "kitti", *CENTRED}
     assert fitting["calibrated"] == {*lenses, "nuscenes", "kitti"}
     assert fitting["barrel"] == fitting["fisheye"] == lenses
