@@ -220,6 +220,23 @@ def test_what_a_renderer_shows_is_read(tmp_path):
         assert text in notes
 
 
+@pytest.mark.parametrize("is_instance", [False, True])
+def test_a_stage_may_refer_to_its_own_prims(tmp_path, is_instance):
+    """As Blender writes what occurs often: once, and references to that."""
+    stage = stage_at(tmp_path / "car.usda")
+    box(stage, "/parts/wheel")
+    stage.OverridePrim("/parts").SetSpecifier(Sdf.SpecifierClass)
+    for k in range(3):
+        wheel = UsdGeom.Xform.Define(stage, f"/car/wheel_{k}")
+        wheel.AddTranslateOp().Set(Gf.Vec3d(10 * k, 0, 0))
+        wheel.GetPrim().GetReferences().AddInternalReference("/parts")
+        wheel.GetPrim().SetInstanceable(is_instance)
+    stage.Save()
+    file = read_vehicle_file(tmp_path / "car.usda")
+    assert len(file.triangle) == 36
+    assert sorted({*file.vertex[:, 0].tolist()}) == [0.0, 1.0, 10.0, 11.0, 20.0, 21.0]
+
+
 def test_materials_become_colours(tmp_path):
     Image.fromarray(np.array([[[200, 0, 0], [0, 100, 0]]], np.uint8)).save(tmp_path / "map.png")
     stage = stage_at(tmp_path / "car.usda")
@@ -274,6 +291,10 @@ def test_units_are_what_the_file_states_and_doubted_where_no_vehicle_has_them(tm
 
 WHEEL = '#usda 1.0\n(\n  metersPerUnit = {}\n)\ndef Mesh "w" {{}}\n'
 PARTS = {"in/wheel.usda": WHEEL.format(1), "out/wheel.usda": WHEEL.format(1), "in/inch.usda": WHEEL.format(0.0254)}
+DOUBLED = "".join(
+    f'def "a{k}" {{\ndef "x" (references = </a{k + 1}>) {{}}\ndef "y" (references = </a{k + 1}>) {{}}\n}}\n'
+    for k in range(20)
+)
 
 
 @pytest.mark.parametrize(
@@ -290,6 +311,7 @@ PARTS = {"in/wheel.usda": WHEEL.format(1), "out/wheel.usda": WHEEL.format(1), "i
         ('def Mesh "a" (references = @wheel.usda@</x>) {}', "a reference that is not resolved: "),
         ('def Mesh "a" (references = @inch.usda@</w>) {}', "layers of 0.0254 m a unit with Z up in a stage of 1 m"),
         ('def Mesh "a" (clips = { dictionary a = { asset[] assetPaths = [@/x.usda@] } }) {}', "value clips at /a"),
+        (DOUBLED, "more than 100,000 prims, references counted"),
         ('variantSet "v" = { "b" {', "parse error"),
         ('def Mesh "a" {\npoint3f[] points = [(0, 0, 0)]\nint[] faceVertexCounts = [3]\n'
          'int[] faceVertexIndices = [0, 1, 2]\n}', "/a: faces of vertices that are not there"),
