@@ -20,7 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.bounded_files import DATA_SET_BYTES_MAX, LEVELS_MAX, NODES_MAX, is_inner_path, read_bytes, usd_library
+from warpav.core.bounded_files import (
+    DATA_SET_BYTES_MAX,
+    LEVELS_MAX,
+    NODES_MAX,
+    bounded_memory,
+    is_inner_path,
+    read_bytes,
+    usd_library,
+)
 from warpav.scene._glb import TRIANGLES_MAX
 from warpav.scene._mesh_colours import GREY_RGB, FileFinder, Texture, TexturedMesh, srgb
 
@@ -52,7 +60,8 @@ def read_stage(path: Path) -> Stage:
     """
     pxr = usd_library(f"{path}: vehicle")
     _quiet = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # else USD prints on stderr what is raised or noted here
-    with _unpacked(path) as file:
+    pxr.Work.SetConcurrencyLimit(1)  # the stacks of threads would count as memory
+    with bounded_memory(), _unpacked(path) as file:
         try:
             layers = _checked_layers(file)
             stage = pxr.Usd.Stage.Open(str(file))
