@@ -1,5 +1,7 @@
 """Vehicles in USD and STEP files: units, axes, instances, purposes, visibility, colours, and what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -136,6 +138,25 @@ def test_a_step_file_states_its_unit_and_colours(tmp_path, unit, scale):
     np.testing.assert_allclose(np.ptp(file.vertex, axis=0), size, atol=1e-6)
     assert np.abs(file.vertex_rgb.astype(int) - [204, 26, 51]).max() <= 2  # eight bits of linear light in between
     assert examine(file, file.usual).open_edge_count == 0  # its faces meet
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("SI_UNIT(.MILLI.,.METRE.)", 1000.0), ("SI_UNIT($,.METRE.)", 1.0)])
+def test_a_round_step_file_becomes_few_triangles_near_it(tmp_path, unit, scale):
+    """A ball with a radius of .35 m, as a wheel has it: within 2 mm of it, hundreds of triangles do."""
+    pytest.importorskip("cascadio", reason="needs cascadio")
+    lines = (
+        "#901=CARTESIAN_POINT('',(0.,0.,0.));#902=DIRECTION('',(0.,0.,1.));#903=DIRECTION('',(1.,0.,0.));"
+        f"#904=AXIS2_PLACEMENT_3D('',#901,#902,#903);#905=SPHERICAL_SURFACE('',#904,{0.35 * scale});"
+        f"#906=CARTESIAN_POINT('',(0.,0.,{-0.35 * scale}));#907=VERTEX_POINT('',#906);#908=VERTEX_LOOP('',#907);"
+        "#909=FACE_BOUND('',#908,.T.);#910=ADVANCED_FACE('',(#909),#905,.T.);#911=CLOSED_SHELL('',(#910));\n"
+    )
+    text = step_of([0.0] * 3, [1.0] * 3, unit=unit).replace("FACETED_BREP_SHAPE", "ADVANCED_BREP_SHAPE")
+    text = re.sub(r"(#\d+=)FACETED_BREP\('',#\d+\)", r"\1MANIFOLD_SOLID_BREP('',#911)", text)
+    (tmp_path / "ball.step").write_text(text.replace("DATA;\n", f"DATA;\n{lines}"))
+    file = read_vehicle_file(tmp_path / "ball.step")
+    assert len(file.triangle) < 5000  # 1702
+    middle_m = file.vertex[file.triangle].mean(axis=1)
+    assert np.linalg.norm(middle_m, axis=1).min() > 0.35 - 0.004  # worst seen 1.5 mm
 
 
 @pytest.mark.parametrize(
