@@ -226,6 +226,18 @@ def _obj(folder):
     return folder / "quad.obj"
 
 
+def _stage(suffix):
+    def write(folder):
+        from tests.scene.test_usd import box, stage_at
+
+        stage = stage_at(folder / f"car.{suffix}")
+        box(stage, "/car/body", size=4.0)
+        stage.Save()
+        return folder / f"car.{suffix}"
+
+    return Kind(f"vehicle {suffix}", write, _vehicle, 4)
+
+
 def _network(folder):
     from tests.detection.tiny_networks import write_network
 
@@ -327,6 +339,7 @@ LARGE = [
     Kind("vehicle gltf", _gltf, _vehicle, 4),
     Kind("vehicle obj", _obj, _vehicle, 4),
     Kind("vehicle dae", _made("quad.dae", write_dae), _vehicle, 4),
+    *map(_stage, ("usda", "usdc")),
     Kind("vehicle ply", _made("car.ply", _export), _vehicle, 4),
     Kind("vehicle ascii ply", _made("car.ply", _ascii_ply), _vehicle, 4),
     Kind("vehicle stl", _made("car.stl", _export), _vehicle, 4),

@@ -1,5 +1,7 @@
 """Vehicles in USD and STEP files: units, axes, instances, purposes, visibility, colours, and what is refused."""
 
+import re
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -138,6 +140,25 @@ def test_a_step_file_states_its_unit_and_colours(tmp_path, unit, scale):
     assert examine(file, file.usual).open_edge_count == 0  # its faces meet
 
 
+@pytest.mark.parametrize(("unit", "scale"), [("SI_UNIT(.MILLI.,.METRE.)", 1000.0), ("SI_UNIT($,.METRE.)", 1.0)])
+def test_a_round_step_file_becomes_few_triangles_near_it(tmp_path, unit, scale):
+    """A ball with a radius of .35 m, as a wheel has it: within 2 mm of it, hundreds of triangles do."""
+    pytest.importorskip("cascadio", reason="needs cascadio")
+    lines = (
+        "#901=CARTESIAN_POINT('',(0.,0.,0.));#902=DIRECTION('',(0.,0.,1.));#903=DIRECTION('',(1.,0.,0.));"
+        f"#904=AXIS2_PLACEMENT_3D('',#901,#902,#903);#905=SPHERICAL_SURFACE('',#904,{0.35 * scale});"
+        f"#906=CARTESIAN_POINT('',(0.,0.,{-0.35 * scale}));#907=VERTEX_POINT('',#906);#908=VERTEX_LOOP('',#907);"
+        "#909=FACE_BOUND('',#908,.T.);#910=ADVANCED_FACE('',(#909),#905,.T.);#911=CLOSED_SHELL('',(#910));\n"
+    )
+    text = step_of([0.0] * 3, [1.0] * 3, unit=unit).replace("FACETED_BREP_SHAPE", "ADVANCED_BREP_SHAPE")
+    text = re.sub(r"(#\d+=)FACETED_BREP\('',#\d+\)", r"\1MANIFOLD_SOLID_BREP('',#911)", text)
+    (tmp_path / "ball.step").write_text(text.replace("DATA;\n", f"DATA;\n{lines}"))
+    file = read_vehicle_file(tmp_path / "ball.step")
+    assert len(file.triangle) < 5000  # 1702
+    middle_m = file.vertex[file.triangle].mean(axis=1)
+    assert np.linalg.norm(middle_m, axis=1).min() > 0.35 - 0.004  # worst seen 1.5 mm
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -220,6 +241,23 @@ def test_what_a_renderer_shows_is_read(tmp_path):
         assert text in notes
 
 
+@pytest.mark.parametrize("is_instance", [False, True])
+def test_a_stage_may_refer_to_its_own_prims(tmp_path, is_instance):
+    """As Blender writes what occurs often: once, and references to that."""
+    stage = stage_at(tmp_path / "car.usda")
+    box(stage, "/parts/wheel")
+    stage.OverridePrim("/parts").SetSpecifier(Sdf.SpecifierClass)
+    for k in range(3):
+        wheel = UsdGeom.Xform.Define(stage, f"/car/wheel_{k}")
+        wheel.AddTranslateOp().Set(Gf.Vec3d(10 * k, 0, 0))
+        wheel.GetPrim().GetReferences().AddInternalReference("/parts")
+        wheel.GetPrim().SetInstanceable(is_instance)
+    stage.Save()
+    file = read_vehicle_file(tmp_path / "car.usda")
+    assert len(file.triangle) == 36
+    assert sorted({*file.vertex[:, 0].tolist()}) == [0.0, 1.0, 10.0, 11.0, 20.0, 21.0]
+
+
 def test_materials_become_colours(tmp_path):
     Image.fromarray(np.array([[[200, 0, 0], [0, 100, 0]]], np.uint8)).save(tmp_path / "map.png")
     stage = stage_at(tmp_path / "car.usda")
@@ -274,6 +312,10 @@ def test_units_are_what_the_file_states_and_doubted_where_no_vehicle_has_them(tm
 
 WHEEL = '#usda 1.0\n(\n  metersPerUnit = {}\n)\ndef Mesh "w" {{}}\n'
 PARTS = {"in/wheel.usda": WHEEL.format(1), "out/wheel.usda": WHEEL.format(1), "in/inch.usda": WHEEL.format(0.0254)}
+DOUBLED = "".join(
+    f'def "a{k}" {{\ndef "x" (references = </a{k + 1}>) {{}}\ndef "y" (references = </a{k + 1}>) {{}}\n}}\n'
+    for k in range(20)
+)
 
 
 @pytest.mark.parametrize(
@@ -290,6 +332,7 @@ PARTS = {"in/wheel.usda": WHEEL.format(1), "out/wheel.usda": WHEEL.format(1), "i
         ('def Mesh "a" (references = @wheel.usda@</x>) {}', "a reference that is not resolved: "),
         ('def Mesh "a" (references = @inch.usda@</w>) {}', "layers of 0.0254 m a unit with Z up in a stage of 1 m"),
         ('def Mesh "a" (clips = { dictionary a = { asset[] assetPaths = [@/x.usda@] } }) {}', "value clips at /a"),
+        (DOUBLED, "more than 100,000 prims, references counted"),
         ('variantSet "v" = { "b" {', "parse error"),
         ('def Mesh "a" {\npoint3f[] points = [(0, 0, 0)]\nint[] faceVertexCounts = [3]\n'
          'int[] faceVertexIndices = [0, 1, 2]\n}', "/a: faces of vertices that are not there"),

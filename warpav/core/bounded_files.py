@@ -5,6 +5,7 @@ Every reader of user files begins here or in `warpav.core.yaml_file`. Messages n
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import importlib
 import io
@@ -53,6 +54,7 @@ _NOT_BRACKETS = bytes(byte for byte in range(256) if byte not in b"[]{}()")
 _LFS = b"version https://git-lfs.github.com/spec/"  # what is kept elsewhere begins so
 _STREAM_BYTES_MAX, _PART_BYTES = 1_000_000_000, 1_000_000
 _Take = Callable[[ElementTree.Element], None] | None
+_MEMORY_BYTES_MAX = 1_500_000_000
 _ARRAYS_MAX = 10_000  # a checkpoint has some for every selection of its search
 
 
@@ -225,11 +227,33 @@ def _header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype]:  # noqa: ANN
 def usd_library(place: str = "USD") -> Any:  # noqa: ANN401
     """The package pxr of the extra ``usd``, with its modules."""
     try:
-        for name in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt"):
+        for name in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt", "Work"):
             importlib.import_module(f"pxr.{name}")
         return importlib.import_module("pxr")
     except ImportError as error:
         raise InputError(f"{place}: expected the package usd-core, got: {error}; {install_text('usd')}") from None
+
+
+@contextlib.contextmanager
+def bounded_memory() -> Iterator[None]:
+    """Let this process take `_MEMORY_BYTES_MAX` more while the block runs, where the system can tell (on Linux).
+
+    For libraries that believe the sizes that a file states, and say in words of their own that memory is short.
+    """
+    try:
+        import resource
+
+        held = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    least = min(each for each in (held + _MEMORY_BYTES_MAX, soft, hard) if each != resource.RLIM_INFINITY)
+    resource.setrlimit(resource.RLIMIT_DATA, (least, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 def feather_library() -> tuple[Any, Any]:

@@ -237,7 +237,7 @@ _GLB_HEAD = 20  # bytes before the JSON
 
 
 STEP_FORMATS = ("step", "stp")
-_STEP_S, _CHORD = 300.0, 0.005  # how far triangles are from a surface, in metres and radians
+_STEP_S, _CHORD_MM = 300.0, 2.0  # how long it may take; how far triangles are from a surface
 _CONVERT = """
 import sys, cascadio
 glb = cascadio.to_glb_bytes(open(sys.argv[1], "rb").read(), tol_linear=float(sys.argv[3]), tol_angular=0.5)
@@ -254,7 +254,7 @@ def _step_as_glb(file: Path, place: str) -> bytes:
         raise InputError(f"{place}: expected the package cascadio, got none; {install_text('cad')}")
     with tempfile.TemporaryDirectory(prefix="warpav-") as folder:
         out = Path(folder) / "car.glb"
-        command = [sys.executable, "-c", _CONVERT, str(file.absolute()), str(out), str(_CHORD)]
+        command = [sys.executable, "-c", _CONVERT, str(file.absolute()), str(out), str(_CHORD_MM)]
         try:
             done = subprocess.run(command, capture_output=True, timeout=_STEP_S, check=False)
         except subprocess.TimeoutExpired:

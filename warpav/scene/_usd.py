@@ -20,7 +20,15 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.bounded_files import DATA_SET_BYTES_MAX, NODES_MAX, is_inner_path, read_bytes, usd_library
+from warpav.core.bounded_files import (
+    DATA_SET_BYTES_MAX,
+    LEVELS_MAX,
+    NODES_MAX,
+    bounded_memory,
+    is_inner_path,
+    read_bytes,
+    usd_library,
+)
 from warpav.scene._glb import TRIANGLES_MAX
 from warpav.scene._mesh_colours import GREY_RGB, FileFinder, Texture, TexturedMesh, srgb
 
@@ -52,7 +60,8 @@ def read_stage(path: Path) -> Stage:
     """
     pxr = usd_library(f"{path}: vehicle")
     _quiet = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # else USD prints on stderr what is raised or noted here
-    with _unpacked(path) as file:
+    pxr.Work.SetConcurrencyLimit(1)  # the stacks of threads would count as memory
+    with bounded_memory(), _unpacked(path) as file:
         try:
             layers = _checked_layers(file)
             stage = pxr.Usd.Stage.Open(str(file))
@@ -101,7 +110,7 @@ def _is_layer(path: Path) -> bool:
 
 
 def _checked_layers(file: Path) -> list[Any]:
-    """All layers of a stage, once it is known that they lie below its folder."""
+    """All layers of a stage, once it is known that they lie below its folder and do not become too many prims."""
     pxr = usd_library()
 
     folder = file.resolve().parent
@@ -114,7 +123,7 @@ def _checked_layers(file: Path) -> list[Any]:
         if left < 0 or len(found) >= _LAYERS_MAX:
             raise ValueError(f"layers of more than {DATA_SET_BYTES_MAX // 1_000_000} MB, or {_LAYERS_MAX} of them")
         layer = found[path] = pxr.Sdf.Layer.OpenAsAnonymous(str(path))
-        for name in sorted(layer.GetCompositionAssetDependencies()):
+        for name in filter(None, sorted(layer.GetCompositionAssetDependencies())):  # the empty one is the layer's own
             place, target = f"{path.name}: the reference {name!r}", (path.parent / name).resolve()
             if not target.is_relative_to(folder):
                 raise ValueError(f"{place} leads out of its folder; copy what it names beside the file")
@@ -124,7 +133,54 @@ def _checked_layers(file: Path) -> list[Any]:
                 raise ValueError(f"{place} is no usd, usda or usdc file; unpack or convert it")
             waiting.append(target)
         layer.Traverse(pxr.Sdf.Path.absoluteRootPath, lambda at, layer=layer, path=path: _check_spec(layer, at, path))
+    _Sizes(found).of(file.resolve(), "/", 0)
     return list(found.values())
+
+
+@dataclass
+class _Sizes:
+    """How many prims places in layers become, before references that double again and again are followed."""
+
+    layers: dict[Path, Any]
+    known: dict[tuple[Path, str], int] = field(default_factory=dict)
+
+    def of(self, file: Path, at: str, depth: int) -> int:
+        """Prims at a place and below, with what references bring along as often as they bring it."""
+        if (file, at) in self.known:
+            return self.known[file, at]
+        if depth > LEVELS_MAX:
+            raise ValueError(f"more than {LEVELS_MAX} levels of prims and references")
+        self.known[file, at] = 0  # a circle adds nothing: USD leaves it out
+        layer = self.layers[file]
+        spec = layer.GetPrimAtPath(at) if at != "/" else None
+        size, below = 1, layer.rootPrims if spec is None and at == "/" else [] if spec is None else spec.nameChildren
+        places = [(file, str(child.path)) for child in below]
+        if spec is not None:
+            for arc in (*spec.referenceList.GetAppliedItems(), *spec.payloadList.GetAppliedItems()):
+                for each in self._with_sublayers(self._named(file, arc.assetPath) if arc.assetPath else file, 0):
+                    places.append((each, str(arc.primPath) or f"/{self.layers[each].defaultPrim}"))
+            for arc in (*spec.inheritPathList.GetAppliedItems(), *spec.specializesList.GetAppliedItems()):
+                places.append((file, str(arc)))
+            for variants in spec.variantSets.values():
+                places += [(file, str(each.primSpec.path)) for each in variants.variants]
+        elif at == "/":
+            places += [(each, "/") for each in self._with_sublayers(file, 0)[1:]]
+        for place in places:
+            size += self.of(*place, depth + 1)
+            if size > NODES_MAX:
+                raise ValueError(f"more than {NODES_MAX:,} prims, references counted")
+        self.known[file, at] = size
+        return size
+
+    @staticmethod
+    def _named(file: Path, name: str) -> Path:
+        return (file.parent / name).resolve()
+
+    def _with_sublayers(self, file: Path, depth: int) -> list[Path]:
+        if depth > LEVELS_MAX:
+            raise ValueError(f"more than {LEVELS_MAX} levels of sublayers")
+        below = [self._named(file, name) for name in self.layers[file].subLayerPaths]
+        return [file, *(each for one in below for each in self._with_sublayers(one, depth + 1))]
 
 
 def _check_spec(layer: Any, at: Any, path: Path) -> None:  # noqa: ANN401 (usd-core has no type hints)
