@@ -23,7 +23,7 @@ from warpav.core.yaml_file import Location, dotted, read_yaml
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _MOST, _TOLD = 20, 8
-"""Mistakes, and keys that are not read, of one file that are told."""
+"""Mistakes, and keys that are not read, of one file that messages list."""
 
 _EXPECTED = {
     "list_type": "a list",

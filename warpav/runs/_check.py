@@ -19,6 +19,7 @@ from warpav.rig import Rig
 from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
+from warpav.runs.report._statements import RULES
 from warpav.runs.report.report import write_check
 from warpav.sight import (
     Body,
@@ -35,15 +36,6 @@ from warpav.view import Canvas, drawing_of, figure_bytes
 _LIGHT_M = np.array([[x, y, 5.0] for x in (15.0, 20.0, 30.0, 40.0, 60.0) for y in (-3.5, 0.0, 3.5)])
 """Traffic lights: how far in front of the body, to the left, and how high [m]."""
 
-_RULES = {
-    "own_body": "Own body in the image",
-    "horizon": "Horizon below the top edge of the image",
-    "crossing": "Angle to the line across the vehicle",
-    "housing": "Another camera's housing in the image",
-    "azimuth_gap": "Seams: widest gap of directions at 15 m",
-    "near_ground": "Near field: ground seen all round from",
-}
-
 _NEAR_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0)
 """Bands around the vehicle in which redundancy and the loss of a camera count [m]."""
 
@@ -52,7 +44,7 @@ _TOLERANCE_DEG = 1.0
 
 
 class Item(NamedTuple):
-    """One thing that is checked; without a limit it is told alone."""
+    """One thing that is checked; without a limit it is only shown."""
 
     about: str
     asked: str
@@ -111,8 +103,13 @@ def _ruled(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
             slack = (each.value - each.limit) * (1.0 if is_least else -1.0)
             margin = f"{factor * slack:+.3g}{unit}"
         yield Item(
-            _RULES[each.rule], asked, found + cameras, margin, None if each.limit is None else each.is_kept, True
+            _heading(each.rule), asked, found + cameras, margin, None if each.limit is None else each.is_kept, True
         )
+
+
+def _heading(rule: str) -> str:
+    name = RULES[rule][0]
+    return name[0].upper() + name[1:]
 
 
 def _tolerated(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
@@ -124,7 +121,7 @@ def _tolerated(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Ite
         return {each.rule for each in margins if not each.is_kept}
 
     further = (broken(_TOLERANCE_DEG) | broken(-_TOLERANCE_DEG)) - broken(0.0)
-    text = "; ".join(_RULES[each] for each in _RULES if each in further) or "no further rule breaks"
+    text = "; ".join(_heading(each) for each in RULES if each in further) or "no further rule breaks"
     yield Item(f"Tolerance: all cameras pitched by ±{_TOLERANCE_DEG:g}°", "", text, "", None, False)
 
 

@@ -535,7 +535,7 @@ def _constraints(evaluation: RigEvaluation) -> Statement | None:
     return Statement("Constraints", text, "good")
 
 
-_RULES = {
+RULES = {
     "own_body": ("own body in the image", "at most", "{:.0%}"),
     "horizon": ("horizon below the top edge of the image", "at least", "{:.0%}"),
     "crossing": ("angle to the line across the vehicle", "at least", "{:.0f}°"),
@@ -553,13 +553,13 @@ def rule_table(evaluation: RigEvaluation, arms: Iterable[str | None] | None = No
         return None
 
     def told(margin: RuleMargin) -> str:
-        shown = "nowhere" if margin.value is None else _RULES[margin.rule][2].format(margin.value)
+        shown = "nowhere" if margin.value is None else RULES[margin.rule][2].format(margin.value)
         camera = f", {margin.cameras[0]}" if margin.cameras and margin.value else ""
         return f"{shown}{camera}{'' if margin.is_kept else ' (broken)'}"
 
     rows = []
     for margin in known[evaluation.first]:
-        heading, way, form = _RULES[margin.rule]
+        heading, way, form = RULES[margin.rule]
         limit = NONE if margin.limit is None else f"{way} {form.format(margin.limit)}"
         of_rigs = ({each.rule: told(each) for each in margins} for margins in known.values())
         rows.append((heading, limit, *(each.get(margin.rule, NONE) for each in of_rigs)))
