@@ -8,6 +8,7 @@ writes the vehicle in the ego frame.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -242,7 +243,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
 class _Source:
     """The parts of a file by their names, and how it is to be read."""
 
-    parts: list[tuple[str, tuple[TexturedMesh, Texture | None]]]
+    parts: Sequence[tuple[str, tuple[TexturedMesh, Texture | None]]]
     usual: Reading
     notes: list[str]
     is_scene: bool = False
