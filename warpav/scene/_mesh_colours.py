@@ -30,6 +30,7 @@ from warpav.scene.town._surface_builder import corner_normals
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+TRIANGLES_MAX = 5_000_000  # triangles of a file, counted at every node that shows them
 GREY_RGB = np.array([150, 152, 156], np.uint8)  # of what has no colour
 _MATERIAL_SUFFIX = ".mtl"
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")

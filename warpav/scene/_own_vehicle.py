@@ -18,9 +18,10 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene._glb import EGO_NODE, ENVIRONMENT_NODE, STEP_FORMATS, TRIANGLES_MAX, bounded_mesh, write_nodes
+from warpav.scene._glb import EGO_NODE, ENVIRONMENT_NODE, STEP_FORMATS, bounded_mesh, write_nodes
 from warpav.scene._mesh_colours import (
     GREY_RGB,
+    TRIANGLES_MAX,
     VERTICES_MAX,
     FileFinder,
     Texture,
