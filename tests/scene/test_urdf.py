@@ -6,6 +6,8 @@ import trimesh
 
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.runs import own_vehicle_digest
+from warpav.runs.config import placed_config
 from warpav.scene import examine, read_vehicle, read_vehicle_file
 
 ROBOT = """\
@@ -78,6 +80,15 @@ def test_a_robot_needs_no_scale_and_carries_cameras(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "leg" in out
     assert "lying" in out
+
+
+def test_another_mesh_of_a_link_is_another_vehicle(tmp_path):
+    path = robot(tmp_path)
+    with placed_config("quick", [f"scenes.ego={path}"]) as config:
+        before = own_vehicle_digest(config)
+        assert own_vehicle_digest(config) == before
+        trimesh.creation.box(bounds=[[0, 0, 0], [100, 20, 500]]).export(tmp_path / "cart/meshes/mast.stl")
+        assert own_vehicle_digest(config) != before
 
 
 @pytest.mark.parametrize(
