@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 _SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off", "urdf", *USD_FORMATS, *STEP_FORMATS)
+FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off", *USD_FORMATS, *STEP_FORMATS, "urdf")
 _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
 _STATED_LENGTH_M = (0.2, 40.0)
