@@ -238,6 +238,12 @@ def _stage(suffix):
     return Kind(f"vehicle {suffix}", write, _vehicle, 4)
 
 
+def _robot(folder):
+    from tests.scene.test_urdf import robot
+
+    return robot(folder)
+
+
 def _network(folder):
     from tests.detection.tiny_networks import write_network
 
@@ -340,6 +346,7 @@ LARGE = [
     Kind("vehicle obj", _obj, _vehicle, 4),
     Kind("vehicle dae", _made("quad.dae", write_dae), _vehicle, 4),
     *map(_stage, ("usda", "usdc")),
+    Kind("vehicle urdf", _robot, _vehicle, 4),
     Kind("vehicle ply", _made("car.ply", _export), _vehicle, 4),
     Kind("vehicle ascii ply", _made("car.ply", _ascii_ply), _vehicle, 4),
     Kind("vehicle stl", _made("car.stl", _export), _vehicle, 4),

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from warpav.core.errors import InputError
-from warpav.scene import Reading, ego_vehicle, examine, read_vehicle, read_vehicle_file
+from warpav.scene import Reading, ego_vehicle, examine, read_scene, read_vehicle, read_vehicle_file
 
 PARTS_OF_USD = ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdUtils", "Vt")
 Gf, Sdf, Usd, UsdGeom, UsdShade, UsdUtils, Vt = (pytest.importorskip(f"pxr.{name}") for name in PARTS_OF_USD)
@@ -308,6 +308,40 @@ def test_units_are_what_the_file_states_and_doubted_where_no_vehicle_has_them(tm
     assert (file.usual.up, file.usual.scale) == ("y", 0.01)
     assert "states no metersPerUnit" in file.notes[0]
     assert "units: expected a vehicle of 2 to 20 m, got 0.04 m" in examine(file, file.usual).problems[0].text
+
+
+@pytest.mark.parametrize(("up", "metres"), [("Y", 0.01), ("Z", 1.0)])
+def test_a_scene_is_what_stands_below_prims_of_its_names(tmp_path, up, metres):
+    """A car of two boxes at (9, 3), an ego vehicle and a plate below, in a stage with its own unit and axis."""
+    stage, turn = stage_at(tmp_path / "scene.usda", metres=metres, up=up), Reading(up.lower(), "x").ego_from_file
+    stage.GetRootLayer().customLayerData = {"name": "by hand", "sky_zenith_rgb": Vt.DoubleArray([1, 2, 3])}
+    world = UsdGeom.Xform.Define(stage, "/world")  # puts the ego frame into the stage's
+    frame = np.eye(4)
+    frame[:3, :3] = turn / metres
+    world.AddTransformOp().Set(Gf.Matrix4d(frame.tolist()))
+    car = UsdGeom.Xform.Define(stage, "/world/vehicle_1").GetPrim()
+    about = {"class": "car", "instance_id": 1, "box_yaw_deg": 0.0, "velocity_ego_m_s": Vt.DoubleArray([1, 0])}
+    sides = {"box_center_m": Vt.DoubleArray([10.0, 3.5, 0.5]), "box_size_m": Vt.DoubleArray([2, 1, 1])}
+    car.SetCustomData({**about, **sides})
+    box(stage, "/world/vehicle_1/body", at=(9, 3, 0))
+    box(stage, "/world/vehicle_1/more/tail", at=(10, 3, 0))
+    box(stage, "/world/ego")
+    ground = box(stage, "/world/environment/plate", at=(-5, -5, -20), size=20.0)
+    ground.CreateDisplayColorPrimvar("constant").Set([Gf.Vec3f(*light_of([1, 2, 3]))])
+    stage.Save()
+    scene = read_scene(tmp_path / "scene.usda")
+    assert (scene.name, scene.sky.zenith_rgb.tolist()) == ("by hand", [1, 2, 3])
+    [found] = scene.vehicles
+    assert (found.category, found.instance_id, found.velocity_ego_m_s.tolist()) == ("car", 1, [1.0, 0.0])
+    np.testing.assert_allclose(found.mesh.bounds_m(), [[9, 3, 0], [11, 4, 1]], atol=1e-5)
+    np.testing.assert_allclose(scene.ego.bounds_m(), [[0, 0, 0], [1, 1, 1]], atol=1e-5)
+    np.testing.assert_allclose(scene.environment.bounds_m(), [[-5, -5, -20], [15, 15, 0]], atol=1e-5)
+    assert np.unique(scene.environment.vertex_rgb, axis=0).tolist() == [[1, 2, 3]]
+    box(stage, "/world/lost")
+    stage.RemovePrim("/world/environment")
+    stage.Save()
+    with pytest.raises(InputError, match=r"expected a mesh node named 'environment', got ego, lost, .*; rename"):
+        read_scene(tmp_path / "scene.usda")
 
 
 WHEEL = '#usda 1.0\n(\n  metersPerUnit = {}\n)\ndef Mesh "w" {{}}\n'

@@ -51,11 +51,11 @@ def test_everything_that_can_be_said_is_read(tmp_path):
 
 
 def test_every_template_is_read_and_says_what_it_is():
-    assert template_names() == ["near_field", "r158_like", "r159_like", "r46_like"]
+    assert template_names() == ["near_field", "near_robot", "r158_like", "r159_like", "r46_like"]
     for name in template_names():
         found = read_requirements(name)
         assert found
-        assert all(each.is_hard for each in found) == (name != "near_field")
+        assert all(each.is_hard for each in found) == (not name.startswith("near_"))
     (near,) = read_requirements("near_field")
     assert (near.weight, near.share) == (0.1, 0.99)
     assert (near.area, near.test_object.kind, near.test_object.size_m[2]) == (Band((0.0, 5.0)), "post", 1.1)

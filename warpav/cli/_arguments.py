@@ -50,7 +50,7 @@ TaskExecutor = Annotated[
 ]
 FileAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
 Verbose = Annotated[bool, Parameter(help="Every stage, table and statement.", negative="")]
-SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
+SceneSource = Annotated[str, Parameter(help="Scene as GLB or USD, or the seed of an embedded scene.")]
 
 
 def flag_of(argument: str) -> str:

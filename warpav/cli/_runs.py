@@ -173,7 +173,7 @@ def check(
     /,
     *overrides: Overrides,
     requirements: Annotated[
-        str, Parameter(help="YAML file, or a template: near_field, r46_like, r158_like, r159_like.")
+        str, Parameter(help="YAML file, or a template: near_field, near_robot, r46_like, r158_like, r159_like.")
     ] = "near_field",
     out: Annotated[Path, Parameter(help="HTML file to write.")] = Path("check.html"),
     config: RigConfig = None,
@@ -273,7 +273,7 @@ def view(
     """View a rig in a browser: the inspector, served to this machine only, or a page that stands alone."""
     from warpav.runs import serve_inspector, write_inspector_page
 
-    is_scene = source.lower().endswith(".glb")
+    is_scene = source.lower().endswith((".glb", ".usd", ".usda", ".usdc", ".usdz"))
     shown, scene = (rig, Path(source)) if is_scene else (source, None)
     if not is_scene and rig != "highest":
         raise ArgumentError(

@@ -381,12 +381,23 @@ def traffic_fleet_digest(config: Config) -> str | None:
     return None if fleet is None else fleet.content
 
 
+_OF_SEVERAL_FILES = (".urdf", ".usd", ".usda", ".usdc")
+
+
 def own_vehicle_digest(config: Config) -> str | None:
-    """Hash of the file that ``scenes.ego`` names, by which what was made with another is made again; None for none."""
+    """Hash of the file that ``scenes.ego`` names, by which what was made with another is made again; None for none.
+
+    Of a robot or a stage, which other files make up, it is that of their triangles.
+    """
     path = config.scenes.ego
     if path is None:
         return None
     try:
+        if file_of(path).suffix.lower() in _OF_SEVERAL_FILES:
+            from warpav.scene import read_vehicle_file
+
+            file = read_vehicle_file(path, vertices_max=None)
+            return digest(file.vertex.tobytes(), file.triangle.tobytes(), file.vertex_rgb.tobytes(), file.usual)
         return digest(file_of(path).read_bytes())
     except OSError as error:
         raise OptionError("scenes.ego", f"expected a readable mesh file, got {str(path)!r}: {error.strerror}") from None

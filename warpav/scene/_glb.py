@@ -1,4 +1,4 @@
-"""Scenes as GLB files that Blender, trimesh and every glTF viewer open.
+"""Scenes as GLB files, or stages of USD, that Blender, trimesh and every glTF viewer open.
 
 Below one root node, whose matrix turns the ego frame (z up) into glTF's axes (y up), stand the nodes ``environment``,
 ``ego``, one ``vehicle_<instance id>`` per vehicle, and one ``other_<instance id>`` per road user that is no vehicle.
@@ -40,7 +40,9 @@ from warpav.core.errors import InputError, install_text
 from warpav.core.files import atomic_write
 from warpav.core.records import Point2, Point3, Record, Word, read_record, unread, unread_text
 from warpav.raster.mesh import Mesh
+from warpav.scene._mesh_colours import TRIANGLES_MAX
 from warpav.scene._scene import BLACK_SKY, Box, Scene, Sky, Vehicle
+from warpav.scene._usd import USD_FORMATS, read_stage
 
 if TYPE_CHECKING:
     import trimesh
@@ -123,20 +125,32 @@ def write_nodes(path: Path, schema: str, about: dict[str, Any], nodes: Sequence[
 
 
 def read_scene(path: str | Path) -> Scene:
-    """Read a scene that `write_scene` or another program wrote."""
+    """Read a scene that `write_scene` or another program wrote, or a stage of USD with prims of the same names.
+
+    All that stands below such a prim belongs to it. Its extras are its ``customData``, those of the whole scene the
+    ``customLayerData``.
+    """
     import trimesh
 
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such scene file; write one with `warpav scenes make`")
-    data, missed = bounded_mesh(path, "glb", str(path))
-    if data[:4] != b"glTF":
+    suffix = path.suffix.lower().removeprefix(".")
+    is_stage = suffix in USD_FORMATS
+    data, missed = bounded_mesh(path, suffix if is_stage else "glb", str(path))
+    if not is_stage and data[:4] != b"glTF":
         raise InputError(f"{path}: expected a GLB file (it starts with 'glTF'), got {data[:4]!r}; export binary glTF")
     try:
-        file = trimesh.load_scene(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
+        if is_stage:
+            file = _stage_nodes(path, missed)
+        else:
+            file = trimesh.load_scene(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
     except Exception as error:
+        if isinstance(error, InputError):
+            raise
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: the GLB file is damaged: {reason}; write it again") from error
+        kind = suffix.upper() if is_stage else "GLB"
+        raise InputError(f"{path}: the {kind} file is damaged: {reason}; write it again") from error
 
     nodes = _mesh_nodes(file, path)
     for name in (ENVIRONMENT_NODE, EGO_NODE):
@@ -173,6 +187,29 @@ def read_scene(path: str | Path) -> Scene:
         about.source,
     )
     return scene.targeting(("vehicle",))
+
+
+def _stage_nodes(path: Path, missed: list[str]) -> trimesh.Scene:
+    """The prims of a scene as nodes in glTF's axes, a mesh each; adds what is missed."""
+    import trimesh
+
+    stage = read_stage(path)
+    missed += stage.notes
+    held: dict[str, list[trimesh.Trimesh]] = {}
+    gltf_from_stage = np.diag([stage.metres] * 3 + [1.0]) @ (np.eye(4) if stage.up == "y" else GLTF_FROM_EGO)
+    for place, (part, _) in stage.parts:
+        words = place.split("/")
+        end = next((k for k, word in enumerate(words) if word.startswith(_KNOWN_NODES)), len(words) - 1)
+        opaque = np.column_stack([np.round(part.rgb), np.full(len(part.rgb), 255)]).astype(np.uint8)
+        mesh = trimesh.Trimesh(part.vertex, part.triangle, vertex_colors=opaque, process=False)
+        held.setdefault("/".join(words[: end + 1]), []).append(mesh.apply_transform(gltf_from_stage))
+    file = trimesh.Scene(base_frame="world")
+    file.metadata = stage.about
+    for place, meshes in held.items():
+        node = place.rpartition("/")[2]
+        whole: Any = meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
+        file.add_geometry(whole, node_name=node, geom_name=node, metadata=stage.extras.get(place))
+    return file
 
 
 def _mesh_nodes(file: trimesh.Scene, path: Path) -> dict[str, dict[str, Any]]:
@@ -229,7 +266,6 @@ class _SceneExtras(Record):
     sky_zenith_rgb: _Colour = BLACK_SKY.zenith_rgb.tolist()
 
 
-TRIANGLES_MAX = 5_000_000  # triangles of a file, counted at every node that shows them
 _LINES_MAX, _LINE_BYTES_MAX = 2_000_000, 1_000_000
 _TEXT_FORMATS = ("obj", "off", "dae", "gltf")
 _COMPONENT_COUNT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

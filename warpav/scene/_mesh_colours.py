@@ -30,10 +30,12 @@ from warpav.scene.town._surface_builder import corner_normals
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+TRIANGLES_MAX = 5_000_000  # triangles of a file, counted at every node that shows them
 GREY_RGB = np.array([150, 152, 156], np.uint8)  # of what has no colour
 _MATERIAL_SUFFIX = ".mtl"
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")
 _TEXTURE_FOLDERS = (".", "textures", "images", "../textures", "../materials/textures", "../materials", "../images")
+_MESH_FOLDERS = ("meshes", "../meshes", "../meshes/visual")  # of robots
 _SCHEMES = ("model://", "package://", "file://")
 _ANCESTOR_COUNT = 5
 _MAP_OPTION = re.compile(r"^-\w+(\s+(on|off|[-+]?[\d.]+))*\s+")
@@ -114,7 +116,7 @@ class FileFinder:
                 yield above / inside.partition("/")[2]
         last = PureWindowsPath(name).name  # with slashes and backslashes alike
         if is_inner_path(last):
-            for each in _TEXTURE_FOLDERS:
+            for each in (*_TEXTURE_FOLDERS, *_MESH_FOLDERS):
                 yield folder / each / last
 
 

@@ -8,6 +8,7 @@ writes the vehicle in the ego frame.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,8 +18,10 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene._glb import EGO_NODE, ENVIRONMENT_NODE, STEP_FORMATS, TRIANGLES_MAX, bounded_mesh, write_nodes
+from warpav.scene._glb import EGO_NODE, ENVIRONMENT_NODE, STEP_FORMATS, bounded_mesh, write_nodes
 from warpav.scene._mesh_colours import (
+    GREY_RGB,
+    TRIANGLES_MAX,
     VERTICES_MAX,
     FileFinder,
     Texture,
@@ -30,6 +33,7 @@ from warpav.scene._mesh_colours import (
     texture_of,
     vertex_rgb,
 )
+from warpav.scene._urdf import read_urdf
 from warpav.scene._usd import USD_FORMATS, read_stage
 from warpav.scene._vehicle_shape import ALIKE, Shape, Wheels, points_on, shape_of, wheels_of
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
@@ -39,7 +43,7 @@ if TYPE_CHECKING:
 
 _SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
-FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off", *USD_FORMATS, *STEP_FORMATS)
+FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off", *USD_FORMATS, *STEP_FORMATS, "urdf")
 _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
 _STATED_LENGTH_M = (0.2, 40.0)
@@ -107,6 +111,7 @@ class VehicleFile:
     notes: tuple[str, ...] = ()  # what its owner should know of how it was read, such as textures that are missing
     # A part many times as large as all others, which it holds, and their size in the file's units and axes, [3]
     holder: tuple[str, np.ndarray] | None = None
+    stated: frozenset[str] = frozenset()  # what of the usual reading the format itself settles
 
     def in_ego_frame(self, reading: Reading) -> Mesh:
         """The vehicle in the ego frame."""
@@ -192,10 +197,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
 
     Textures become vertex colours, where they are finer than the triangles with more triangles of the same surface
     (`warpav.scene._mesh_colours`). Unit and axes are those that the file states (COLLADA, up in glTF), or that the
-    ``model.sdf`` of a simulator beside it states; else the ego frame's.
+    ``model.sdf`` of a simulator beside it states; else the ego frame's. A robot (URDF) is all that its links show.
     """
-    import trimesh
-
     path = Path(path).expanduser()
     if not path.is_file():
         expected = f"a mesh file ({', '.join(FORMATS)})"
@@ -209,12 +212,57 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         raise InputError(
             f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
         )
+    source = _source(path, suffix)
+    found, usual, is_scene, is_own = source.parts, source.usual, source.is_scene, source.is_own
+    parts = [part for _, part in found]
+    if not parts:
+        raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
+    notes = source.notes
+    model = None if is_scene or is_own or suffix == "urdf" else simulator_model(path)
+    if model is not None:
+        usual = usual.changed(forward=model.forward, scale=usual.scale * model.scale)
+        turned = f" and that {model.forward} points forward" if model.forward is not None else ""
+        notes.append(f"{model.path.name} beside it states a scale of {model.scale:g}{turned}")
+    whole, textures = _joined(parts)
+    if vertices_max is not None:
+        whole = follow_textures(whole, textures, vertices_max=vertices_max)
+    return VehicleFile(
+        path,
+        whole.vertex,
+        whole.triangle,
+        np.round(whole.rgb).astype(np.uint8),
+        usual,
+        is_scene or is_own,
+        "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
+        tuple(notes),
+        _holder([(name, mesh.vertex[np.unique(mesh.triangle)]) for name, (mesh, _) in found]),
+        frozenset({"up", "forward", "scale"} if suffix == "urdf" else ()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """The parts of a file by their names, and how it is to be read."""
+
+    parts: Sequence[tuple[str, tuple[TexturedMesh, Texture | None]]]
+    usual: Reading
+    notes: list[str]
+    is_scene: bool = False
+    is_own: bool = False
+
+
+def _source(path: Path, suffix: str) -> _Source:
+    """The parts of a mesh file."""
+    import trimesh
+
     content, unread = bounded_mesh(path, suffix, f"{path}: vehicle")
     finder = FileFinder(path)
     # glTF and COLLADA define their up axis; USD says it; the other formats do not: the ego frame
     usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
     is_scene = is_own = False
     try:
+        if suffix == "urdf":
+            return _robot(path, finder)
         if suffix in USD_FORMATS:
             stage = read_stage(path)
             found, usual, unread = stage.parts, Reading(stage.up, "x", stage.metres), stage.notes
@@ -244,29 +292,48 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         raise InputError(
             f"{path}: vehicle: expected a readable {suffix} file, got: {reason}; export it again"
         ) from None
-    parts = [part for _, part in found]
-    if not parts:
-        raise InputError(f"{path}: vehicle: expected a mesh with triangles, got none; export the faces of the vehicle")
-    notes = [*unread, *finder.notes]
-    model = None if is_scene or is_own else simulator_model(path)
-    if model is not None:
-        usual = usual.changed(forward=model.forward, scale=usual.scale * model.scale)
-        turned = f" and that {model.forward} points forward" if model.forward is not None else ""
-        notes.append(f"{model.path.name} beside it states a scale of {model.scale:g}{turned}")
-    whole, textures = _joined(parts)
-    if vertices_max is not None:
-        whole = follow_textures(whole, textures, vertices_max=vertices_max)
-    return VehicleFile(
-        path,
-        whole.vertex,
-        whole.triangle,
-        np.round(whole.rgb).astype(np.uint8),
-        usual,
-        is_scene or is_own,
-        "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
-        tuple(notes),
-        _holder([(name, mesh.vertex[np.unique(mesh.triangle)]) for name, (mesh, _) in found]),
-    )
+    return _Source(found, usual, [*unread, *finder.notes], is_scene, is_own)
+
+
+def _robot(path: Path, finder: FileFinder) -> _Source:
+    """The links of a robot; those that show the same mesh read it once."""
+    found: list[tuple[str, tuple[TexturedMesh, Texture | None]]] = []
+    notes, read = [], {}
+    for visual in read_urdf(path):
+        if visual.solid is not None:
+            solid = visual.solid
+            grey = np.tile(GREY_RGB.astype(np.float64), (len(solid.vertices), 1))
+            none = np.full(len(solid.faces), -1)
+            uv = np.zeros((len(solid.vertices), 2))
+            mesh = TexturedMesh(np.asarray(solid.vertices), np.asarray(solid.faces), grey, uv, none)
+            parts: list[tuple[TexturedMesh, Texture | None]] = [(mesh, None)]
+        else:
+            name = visual.mesh or ""
+            if name not in read:
+                file = finder.find(name)
+                suffix = "" if file is None else file.suffix.lower().removeprefix(".")
+                if file is None or suffix not in FORMATS or suffix == "urdf":
+                    what = "no such file there" if file is None else f"the suffix {file.suffix!r}"
+                    raise ValueError(f"link {visual.link!r}: expected the mesh file {name!r} beside it, got {what}")
+                read[name] = _source(file, suffix)
+                notes += [f"{file.name}: {text}" for text in read[name].notes]
+            source = read[name]
+            turn = source.usual.ego_from_file
+            parts = [
+                (replace(mesh, vertex=mesh.vertex @ (source.usual.scale * turn).T), texture)
+                for _, (mesh, texture) in source.parts
+            ]
+        matrix = visual.root_from_shape
+        for mesh, texture in parts:
+            triangle = mesh.triangle[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0.0 else mesh.triangle
+            rgb = mesh.rgb if visual.rgb is None else np.tile(visual.rgb, (len(mesh.rgb), 1))
+            number = mesh.texture_of if visual.rgb is None else np.full(len(triangle), -1)
+            vertex = mesh.vertex @ matrix[:3, :3].T + matrix[:3, 3]
+            moved = replace(mesh, vertex=vertex, triangle=triangle, rgb=rgb, texture_of=number)
+            found.append((visual.link, (moved, texture if visual.rgb is None else None)))
+        if sum(len(mesh.triangle) for _, (mesh, _) in found) > TRIANGLES_MAX:
+            raise ValueError(f"more than {TRIANGLES_MAX:,} triangles in all links")
+    return _Source(found, Reading("z", "x"), list(dict.fromkeys(notes)))
 
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
@@ -282,6 +349,7 @@ def examine(
 ) -> Examination:
     """Compare the reading of a file with the shape of the vehicle."""
     mesh = file.in_ego_frame(reading)
+    stated |= {name for name in file.stated if getattr(reading, name) == getattr(file.usual, name)}
     point_m = points_on(mesh)
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
     shape = shape_of(point_m)

@@ -29,8 +29,7 @@ from warpav.core.bounded_files import (
     read_bytes,
     usd_library,
 )
-from warpav.scene._glb import TRIANGLES_MAX
-from warpav.scene._mesh_colours import GREY_RGB, FileFinder, Texture, TexturedMesh, srgb
+from warpav.scene._mesh_colours import GREY_RGB, TRIANGLES_MAX, FileFinder, Texture, TexturedMesh, srgb
 
 USD_FORMATS = ("usd", "usda", "usdc", "usdz")
 _LAYERS_MAX, _LINKS_MAX = 1000, 4
@@ -49,6 +48,8 @@ class Stage:
     up: str
     metres: float
     notes: list[str]
+    about: dict[str, Any]  # its ``customLayerData``
+    extras: dict[str, dict[str, Any]]  # ``customData`` of prims that have some, by their paths
 
 
 def read_stage(path: Path) -> Stage:
@@ -80,7 +81,17 @@ def read_stage(path: Path) -> Stage:
             reader.note("it states no metersPerUnit, which means centimetres in USD")
         reader.read(stage.GetPseudoRoot(), np.eye(4))
         notes = [f"{text}{f' ({count} times)' if count > 1 else ''}" for text, count in reader.seen.items()]
-        return Stage(reader.parts, up.lower(), metres, [*notes, *reader.finder.notes])
+        prims = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
+        extras = {str(prim.GetPath()): _plain(data) for prim in prims if (data := prim.GetCustomData())}
+        about = _plain(stage.GetRootLayer().customLayerData)
+        return Stage(reader.parts, up.lower(), metres, [*notes, *reader.finder.notes], about, extras)
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    """Data of a stage as JSON would have it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    return value if isinstance(value, str | int | float) else np.asarray(value).tolist()
 
 
 @contextmanager
