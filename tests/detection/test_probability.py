@@ -16,13 +16,26 @@ from scipy.special import expit
 
 from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.core.errors import InputError
-from warpav.detection import FEATURES, Appearance, DetectionProbability, DetectorUse, stored_file, whole_solid_angle
+from warpav.detection import (
+    FEATURES,
+    Appearance,
+    DetectionProbability,
+    DetectorUse,
+    WholeObjects,
+    line_of_sight,
+    stored_file,
+    whole_solid_angle,
+)
 from warpav.detection import _probability as module
 from warpav.detection._probability import FEATURE_COUNT, spline_basis
 from warpav.raster.areas import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
+from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
+from warpav.rig import RigCamera
 from warpav.scene import UprightBoxes
+from warpav_kernels.raster import Lens as KernelLens
 
 KNOTS = 7
 MODEL = CameraModel(256, 256, math.radians(80.0))
@@ -30,11 +43,11 @@ MODEL = CameraModel(256, 256, math.radians(80.0))
 
 def model_of(rng, scale=1.0):
     """Curves that rise with what helps, and wave a little."""
-    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
-    step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / (KNOTS - 1)
-    rise = np.array([6.0, 2.0, 1.0, 1.5, 0.5, 0.5])
-    coefficient = rise[:, None] * np.linspace(-0.5, 0.5, KNOTS) + rng.normal(0.0, 0.15 * scale, (FEATURE_COUNT, KNOTS))
-    return DetectionProbability(start, step, coefficient, 0.4)
+    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0, -0.4, 0.8])
+    step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6, 0.5, 0.2]) / (KNOTS - 1)
+    rise = np.array([6.0, 2.0, 1.0, 1.5, 0.5, 0.5, 0.5, 0.5])
+    waves = rng.normal(0.0, 0.15 * scale, (2, FEATURE_COUNT, KNOTS))
+    return DetectionProbability(start, step, rise[:, None] * np.linspace(-0.5, 0.5, KNOTS) + waves, [0.4, -0.2])
 
 
 def scipy_curve(coefficient, start, step, x):
@@ -47,7 +60,7 @@ def scipy_curve(coefficient, start, step, x):
     return spline(inside) + (x - inside) * spline.derivative()(inside)
 
 
-def features_of(measure, in_frame, whole, contrast, width, height):
+def features_of(measure, in_frame, whole, elevation, upright, contrast, width, height):
     """The features as their definitions say."""
     visible, alone = measure[..., VISIBLE_AREA], measure[..., AMODAL_AREA]
     left, right, top, bottom = (measure[..., side] for side in (LEFT, RIGHT, TOP, BOTTOM))
@@ -60,6 +73,8 @@ def features_of(measure, in_frame, whole, contrast, width, height):
             np.log((right - left + 1) / (bottom - top + 1)),
             np.log(4 + distance),
             contrast,
+            elevation,
+            upright,
         ],
         axis=-1,
     )
@@ -75,8 +90,20 @@ def random_measures(rng, views=40, objects=25):
         np.stack([visible, alone, 0 * alone, left, right, top, bottom], axis=-1),
         whole * rng.uniform(0, 0.8, left.shape),
         whole,
+        rng.uniform(-0.5, 0.1, left.shape),
+        rng.uniform(0.7, 1.0, left.shape),
         rng.uniform(0, 1, left.shape),
     )
+
+
+def arrays_of(in_frame, whole, elevation, upright, contrast, device, **gradients):
+    """What `DetectionProbability.of_measures` takes after the measures, of all kinds by turns."""
+    parts = [
+        wp.array(a.astype(np.float32), device=device, **gradients)
+        for a in (in_frame[..., None], whole, elevation, upright, contrast)
+    ]
+    kind = wp.array(np.arange(whole.shape[1], dtype=np.int32) % 3, device=device)
+    return parts[0], WholeObjects(*parts[1:4], kind), parts[4]
 
 
 @given(
@@ -95,9 +122,9 @@ def test_curves_are_scipys_natural_splines(count, start, step, values, seed):
 
 def test_pixels_are_those_of_the_network(device, rng):
     """An image that is scaled on its way counts as the scaled one; at scale 1 not a bit changes."""
-    measure, in_frame, whole, contrast = random_measures(rng)
+    measure, *others = random_measures(rng)
     model = model_of(rng)
-    others = [wp.array(a.astype(np.float32), device=device) for a in (in_frame[..., None], whole, contrast)]
+    others = arrays_of(*others, device)
     scaled = measure * [1.5 * 0.5, 1.5 * 0.5, 1.0, 1.5, 1.5, 0.5, 0.5]  # areas, box area, left, right, top, bottom
     found = []
     for each, scale, size in (
@@ -117,35 +144,40 @@ def test_pixels_are_those_of_the_network(device, rng):
 
 
 def test_probabilities_match_numpy(device, rng):
-    measure, in_frame, whole, contrast = random_measures(rng)
+    measure, *others = random_measures(rng)
     model = model_of(rng)
-    arrays = [wp.array(a.astype(np.float32), device=device) for a in (measure, in_frame[..., None], whole, contrast)]
-    seen = model.of_measures(*arrays, width_px=200, height_px=100)
-    feature = features_of(measure, in_frame, whole, contrast, 200, 100)
-    logit = model.constant + sum(
-        scipy_curve(model.coefficient[f], model.start[f], model.step[f], feature[..., f]) for f in range(FEATURE_COUNT)
-    )
+    array = wp.array(measure.astype(np.float32), device=device)
+    seen = model.of_measures(array, *arrays_of(*others, device), width_px=200, height_px=100)
+    feature = features_of(measure, *others, 200, 100)
+    kind = np.arange(measure.shape[1]) % 3
+    own = np.where(kind < 2, kind, 0)  # cyclists have no curves of their own
+    curves = [
+        [scipy_curve(model.coefficient[q, f], model.start[f], model.step[f], feature[..., f]) for q in range(2)]
+        for f in range(FEATURE_COUNT)
+    ]
+    logit = np.choose(own, model.constant[:, None, None] + np.sum(curves, axis=0))
     small = np.minimum(measure[..., VISIBLE_AREA], 1.0)
     expected = expit(logit) * (6 * small**5 - 15 * small**4 + 10 * small**3)
     # worst seen 2e-6 and 6e-7
     np.testing.assert_allclose(seen.feature.numpy(), feature, rtol=2e-5, atol=2e-5)
     np.testing.assert_allclose(seen.probability.numpy(), expected, atol=5e-6)
-    np.testing.assert_allclose(model.of_features(feature), expit(logit), atol=1e-12)
+    np.testing.assert_allclose(
+        model.of_features(feature, np.broadcast_to(kind, feature.shape[:2])), expit(logit), atol=1e-12
+    )
     assert expected.min() < 0.1 < 0.9 < expected.max()
 
 
 def test_what_is_not_visible_has_no_chance(device, rng):
-    measure, in_frame, whole, contrast = random_measures(rng, 1, 3)
+    measure, *others = random_measures(rng, 1, 3)
     measure[0, 0, VISIBLE_AREA] = 0.0
     measure[0, 1, [VISIBLE_AREA, AMODAL_AREA]] = 0.0
     measure[0, 1, [LEFT, RIGHT, TOP, BOTTOM]] = [200, 0, 100, 0]
-    arrays = [
-        wp.array(a.astype(np.float32), device=device, requires_grad=True)
-        for a in (measure, in_frame[..., None], whole, contrast)
-    ]
+    array = wp.array(measure.astype(np.float32), device=device, requires_grad=True)
+    in_frame, whole, contrast = arrays_of(*others, device, requires_grad=True)
+    arrays = [array, in_frame, whole.solid_angle_sr, whole.elevation, whole.upright, contrast]
     tape = wp.Tape()
     with tape:
-        seen = model_of(rng).of_measures(*arrays, width_px=200, height_px=100)
+        seen = model_of(rng).of_measures(array, in_frame, whole, contrast, width_px=200, height_px=100)
     tape.backward(grads={seen.probability: wp.array(np.ones((1, 3), np.float32), device=device)})
     assert seen.probability.numpy()[0, :2].tolist() == [0.0, 0.0]
     assert not seen.feature.numpy()[0, :2].any()
@@ -153,6 +185,29 @@ def test_what_is_not_visible_has_no_chance(device, rng):
         assert np.isfinite(array.grad.numpy()).all()
         assert not array.grad.numpy()[0, :2].any()
     assert seen.probability.numpy()[0, 2] > 0.0
+
+
+@pytest.mark.parametrize("lens", [Lens.PINHOLE, Lens.FISHEYE, Lens.EQUIRECTANGULAR])
+def test_lines_of_sight_are_those_of_projected_edges(lens, device, rng):
+    """How high a place lies, and how upright a short vertical edge there is in the image of turned cameras."""
+    wide = math.radians(360.0 if lens is Lens.EQUIRECTANGULAR else 80.0)
+    model = CameraModel(256, 128 if lens is Lens.EQUIRECTANGULAR else 256, wide, lens=lens)
+    cameras = [RigCamera("turned", rng.normal(size=3), *rng.uniform(-0.5, 0.5, 3), model) for _ in range(6)]
+    pose = np.stack([camera.ego_from_camera for camera in cameras])
+    place = np.column_stack([rng.uniform(8.0, 12.0, 9), rng.uniform(-4.0, 4.0, (2, 9)).T])
+    lenses = wp.array([lens_of(model)], dtype=KernelLens, device=device)
+    views = [
+        wp.array(part.astype(np.float32), dtype=dtype, device=device)
+        for part, dtype in ((pose[:, :3, 3], wp.vec3), (pose[:, :3, :3].swapaxes(1, 2), wp.mat33))
+    ]
+    centre = wp.array(place.astype(np.float32), dtype=wp.vec3, device=device)
+    elevation, upright = (a.numpy() for a in line_of_sight(*views, lenses, centre, vehicle_count=len(place)))
+    for each, at in enumerate(pose):
+        ends = [model.project((place + np.array([0.0, 0.0, z]) - at[:3, 3]) @ at[:3, :3]) for z in (-1e-4, 1e-4)]
+        edge = ends[1] - ends[0]
+        away = place - at[:3, 3]
+        np.testing.assert_allclose(elevation[each], away[:, 2] / np.linalg.norm(away, axis=1), atol=1e-5)
+        np.testing.assert_allclose(upright[each], -edge[:, 1] / np.linalg.norm(edge, axis=1), atol=1e-3)
 
 
 def test_boxes_cover_what_rays_say(device, rng):
@@ -314,9 +369,9 @@ def test_a_fit_that_saw_the_test_scenes_is_refused(tmp_path, rng):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda data: {**data, "schema": 99}, "schema: expected 1, got 99"),
+        (lambda data: {**data, "schema": 99}, "schema: expected 2, got 99"),
         (lambda data: {**data, "identity": "0"}, "got another detector or camera"),
-        (lambda data: [], "schema: expected 1, got None"),
+        (lambda data: [], "schema: expected 2, got None"),
         (lambda data: {**data, "curves": data["curves"][:-1]}, "damaged file"),
         (lambda data: {**data, "curves": None}, "damaged file"),
         (lambda data: {**data, "constant": "high"}, "damaged file"),

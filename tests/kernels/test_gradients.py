@@ -13,8 +13,8 @@ from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel
 from warpav_kernels.detection import detection_probability, lidar_probability
 from warpav_kernels.placement import benchmark, constraint_losses, expected_misses, lagrangian, mount_pose
+from warpav_kernels.raster import FISHEYE, PANORAMA, PINHOLE, Lens, linearise
 from warpav_kernels.raster import _measure as measure
-from warpav_kernels.raster import linearise
 from warpav_kernels.thesis import losses as thesis
 
 VIEWS, CAMERAS, VEHICLES, ROTATIONS = 4, 2, 3, 2
@@ -165,6 +165,16 @@ def box_solid_angle(new):
     return VIEWS, [place, middle, half_size, along], [new(np.zeros((VIEWS, VEHICLES)))]
 
 
+def line_of_sight(new):
+    lenses = np.zeros(VIEWS, Lens.numpy_dtype())
+    lenses["kind"] = np.resize([PINHOLE, FISHEYE, PANORAMA], VIEWS)
+    place, away = new(size=(VIEWS, 3), dtype=wp.vec3, low=-0.2, high=0.2), new.rng.normal(size=(VEHICLES, 3))
+    turn = new(new.rng.normal(0.0, 0.1, (VIEWS, 3, 3)) + np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]), wp.mat33)
+    middle = new(away * [0.2, 0.3, 0.3] + [2.0, 0.0, 0.0], wp.vec3)
+    lens = wp.array(lenses, dtype=Lens, device=new.device)
+    return VIEWS, [place, turn, lens, middle], [new(np.zeros((VIEWS, VEHICLES))), new(np.zeros((VIEWS, VEHICLES)))]
+
+
 def lidar_finds(new):
     points = new(size=(VIEWS, VEHICLES, 1), low=1.0, high=9.0)
     distance = new(size=(VIEWS, VEHICLES), low=40.0, high=60.0)
@@ -198,8 +208,9 @@ def probability_of_detection(new):
     extents = new.rng.uniform([1.0, 4.0, 0.5, 5.0], [2.0, 6.0, 1.5, 7.0], (VIEWS, VEHICLES, 4))
     pairs, curves = (VIEWS, VEHICLES), int(detection_probability.FEATURE_COUNT)
     inputs = [new(np.concatenate([areas, extents], axis=2)), new(size=(*pairs, 1), low=0.2, high=0.5)]
-    inputs += [new(size=pairs, low=0.6, high=0.9), new(size=pairs, low=0.1, high=0.5), 9.0, 10.0, 1.1, 0.9]
-    inputs += [new(size=(curves, 5)), new(size=curves, low=-0.5, high=0.0), new(size=curves, low=0.3, high=0.6), 0.2]
+    inputs += [new(size=pairs, low=0.6, high=0.9), *(new(size=pairs, low=0.1, high=0.5) for _ in range(3))]
+    inputs += [new.integers(np.arange(VEHICLES) % 3), 9.0, 10.0, 1.1, 0.9, new(size=(2, curves, 5))]
+    inputs += [new(size=curves, low=-0.5, high=0.0), new(size=curves, low=0.3, high=0.6), new(size=2)]
     outputs = [new(np.zeros((*pairs, curves))), new(np.zeros(pairs))]
     return pairs, inputs, outputs
 
@@ -252,6 +263,7 @@ CASES = {
     thesis.angular_coverage_loss_kernel: angular_coverage_loss,
     thesis.mean_vehicle_loss_kernel: mean_vehicle_loss,
     detection_probability.box_solid_angle_kernel: box_solid_angle,
+    detection_probability.line_of_sight_kernel: line_of_sight,
     detection_probability.detection_probability_kernel: probability_of_detection,
     lidar_probability.lidar_probability_kernel: lidar_finds,
     expected_misses.sum_over_panorama_kernel: sum_over_panorama,

@@ -40,9 +40,9 @@ HEIGHT_OFFSET_M = 0.25
 
 def large_and_whole():
     """A detector that is the surer the larger, the more visible and the more inside the image a vehicle is."""
-    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
-    step = np.array([2.0, 0.25, 0.25, 0.75, 0.9, 0.15])
-    rise = np.array([2.0, 6.0, 4.0, 0.0, 0.0, 0.0])
+    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0, -1.0, -1.0])
+    step = np.array([2.0, 0.25, 0.25, 0.75, 0.9, 0.15, 0.5, 0.5])
+    rise = np.array([2.0, 6.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     return DetectionProbability(start, step, rise[:, None] * np.linspace(-0.5, 0.5, 5), -4.0)
 
 

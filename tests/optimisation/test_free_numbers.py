@@ -225,9 +225,9 @@ def fenced_objective(free):
         supersampling=2,
         # more of it, less of it hidden, less of it cut off, farther from the border
         probability=DetectionProbability(
-            np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0]),
-            np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / 6.0,
-            np.array([[8.0], [6.0], [3.0], [0.0], [6.0], [0.0]]) * np.linspace(-0.5, 0.5, 7),
+            np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0, -1.0, -1.0]),
+            np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6, 2.0, 2.0]) / 6.0,
+            np.array([[8.0], [6.0], [3.0], [0.0], [6.0], [0.0], [0.0], [0.0]]) * np.linspace(-0.5, 0.5, 7),
             -0.5,
         ),
     )

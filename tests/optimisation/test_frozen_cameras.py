@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.driving_scene import roof
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.thesis.test_descent import WholeImageDetector, changed, street_scenes
-from warpav.detection import DetectionProbability
+from warpav.detection import FEATURES, DetectionProbability
 from warpav.optimisation import (
     HEIGHT_DELTA_M,
     LOG_ZOOM,
@@ -69,9 +69,9 @@ def objective_of(mount):
 
 def size_alone():
     """The chance grows with the visible size."""
-    coefficient = np.zeros((6, 4))
+    coefficient = np.zeros((len(FEATURES), 4))
     coefficient[0] = [-2.0, 0.0, 2.0, 4.0]
-    return DetectionProbability(np.zeros(6), np.full(6, 2.0), coefficient, -1.0)
+    return DetectionProbability(np.zeros(len(FEATURES)), np.full(len(FEATURES), 2.0), coefficient, -1.0)
 
 
 # --- the mount ------------------------------------------------------------------------------------------------------

@@ -41,9 +41,9 @@ def probability_model(rng):
 
     Colours do not matter, for their differences are no part of the gradient.
     """
-    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0])
-    step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6]) / (KNOTS - 1)
-    rise = np.array([12.0, 4.0, 3.0, 1.5, 0.5, 0.0])
+    start = np.array([1.0, 0.0, 0.0, -1.5, 1.2, 0.0, -1.0, -1.0])
+    step = np.array([8.0, 1.0, 0.8, 3.0, 3.6, 0.6, 2.0, 2.0]) / (KNOTS - 1)
+    rise = np.array([12.0, 4.0, 3.0, 1.5, 0.5, 0.0, 1.0, 1.0])
     coefficient = rise[:, None] * np.linspace(-0.5, 0.5, KNOTS) + rng.normal(0.0, 0.1, (FEATURE_COUNT, KNOTS))
     coefficient[CONTRAST] = 0.0
     return DetectionProbability(start, step, coefficient, -0.5)

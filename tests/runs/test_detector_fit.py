@@ -121,7 +121,7 @@ def sampled(monkeypatch):
         rng = np.random.default_rng(seed)
         feature = rng.normal(size=(40, FEATURE_COUNT))
         is_detected = rng.random(40) < 1.0 / (1.0 + np.exp(-2.0 * feature[:, 0]))
-        return DetectionSamples(feature, is_detected, np.full(40, seed))
+        return DetectionSamples(feature, is_detected, np.full(40, seed), np.zeros(40, int))
 
     monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
     monkeypatch.setattr("warpav.detection._probability_fit._MIN_OBJECTS", 30)
@@ -141,7 +141,8 @@ def curves(folder):
 def test_a_detector_that_finds_next_to_nothing_is_told(share, tmp_path, capsys, monkeypatch):
     def samples(_, recipe, seed):
         feature = np.random.default_rng(seed).normal(size=(400, FEATURE_COUNT))
-        return DetectionSamples(feature, feature[:, 0] > np.quantile(feature[:, 0], 1 - share), np.full(400, seed))
+        is_detected = feature[:, 0] > np.quantile(feature[:, 0], 1 - share)
+        return DetectionSamples(feature, is_detected, np.full(400, seed), np.zeros(400, int))
 
     monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
     assert main(["detector", "fit", *FIT, "--out", str(tmp_path)]) == 0

@@ -48,7 +48,10 @@ from warpav.detection._probability import Appearance as Appearance
 from warpav.detection._probability import DetectionProbability as DetectionProbability
 from warpav.detection._probability import DetectorUse as DetectorUse
 from warpav.detection._probability import Seen as Seen
+from warpav.detection._probability import WholeObjects as WholeObjects
+from warpav.detection._probability import line_of_sight as line_of_sight
 from warpav.detection._probability import stored_file as stored_file
+from warpav.detection._probability import whole_objects as whole_objects
 from warpav.detection._probability import whole_solid_angle as whole_solid_angle
 from warpav.detection._probability_fit import BIN_COUNT as BIN_COUNT
 from warpav.detection._probability_fit import MONOTONE as MONOTONE

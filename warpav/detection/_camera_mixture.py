@@ -17,7 +17,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig import MountSurface, RigCamera
 
-RECIPE = 1
+RECIPE = 2
 """Number of this mixture: who changes what is drawn raises it, and all fits for any camera are fitted again."""
 
 _WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
@@ -30,8 +30,8 @@ _VIEWS_PER_SCENE = 24
 _PINHOLE_FOV_DEG = (40.0, 130.0)
 _FISHEYE_FOV_DEG = (100.0, 200.0)
 _FISHEYE_SHARE = 0.25
-_PITCH_DEG = (-15.0, 30.0)
-_LEVEL_SHARE = 0.4
+_PITCH_DEG = (-15.0, 40.0)
+_LEVEL_SHARE = 0.3
 _ROOF_SHARE = 0.5
 _ROOF_OFFSET_M = (0.05, 2.0)
 _BODY_HEIGHT_M = (0.3, 3.0)

@@ -170,10 +170,12 @@ class LidarProbability:
             self._weight[device] = wp.array(self.beams.density(), dtype=float, device=device)
         return frame.weighted_area(self._weight[device])
 
-    def detected(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> wp.array:
+    def detected(
+        self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array
+    ) -> wp.array:
         """The probability that each view finds each object, nothing taped; float [view, object].
 
-        ``frame``: a render of the scene with all measures.
+        ``frame``: a render of the scene with all measures. However it is turned, an object counts as it does.
         """
         return self.returned(frame, scene, position_ego_m)[1]
 

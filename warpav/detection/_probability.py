@@ -26,10 +26,10 @@ from warpav.core.files import atomic_write
 from warpav.raster.areas import Measures
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
-from warpav.scene import DeviceScene, UprightBoxes
+from warpav.scene import ROAD_USERS, DeviceScene, UprightBoxes
 from warpav_kernels.detection import detection_probability as kernels
 
-_SCHEMA = 1
+_SCHEMA = 2
 FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
 
@@ -47,9 +47,14 @@ FEATURES = (
     _Feature("aspect", "ln(px / px)", "width + 1 px over height + 1 px of the extent of the object alone in the image"),
     _Feature("border_distance", "ln(4 + px)", "soft least distance of that extent from the image's border"),
     _Feature("contrast", "RGB in 0..1", "distance of its mean colour from that of what else its surroundings show"),
+    _Feature(
+        "elevation", "sine", "elevation of the line of sight to the middle of its upright box; seen from above: < 0"
+    ),
+    _Feature("upright", "cosine", "angle in the image between a vertical edge there and the columns of the image"),
 )
 VISIBLE_SIZE, VISIBLE_SHARE = int(kernels.VISIBLE_SIZE), int(kernels.VISIBLE_SHARE)
 IN_FRAME_SHARE, CONTRAST = int(kernels.IN_FRAME_SHARE), int(kernels.CONTRAST)
+ELEVATION, UPRIGHT = int(kernels.ELEVATION), int(kernels.UPRIGHT)
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,8 @@ class Appearance:
     in_frame: Measures
     contrast: wp.array  # of colours; it is held fixed while a view moves, float [view, vehicle]
     box: UprightBoxes  # boxes of the vehicles (and more)
+    kind: wp.array  # of road user, index into `ROAD_USERS`, int [vehicle]
+    lens: wp.array  # of the views, of the kernels' `Lens` [view]
     width_px: int  # width of the images [px]
     height_px: int  # height of the images [px]
 
@@ -75,7 +82,8 @@ class Appearance:
         """Measure the last render; nothing is taped."""
         measures = frame.measure() if measures is None else measures
         in_frame, contrast = frame.window_area(visible=False), frame.contrast(measures.value)
-        return cls(measures, in_frame, contrast, scene.upright_box, frame.width_px, frame.height_px)
+        size_px = frame.width_px, frame.height_px
+        return cls(measures, in_frame, contrast, scene.upright_box, scene.kind, wp.clone(frame.lens), *size_px)
 
 
 @dataclass(frozen=True)
@@ -126,16 +134,17 @@ class DetectorUse:
 
 @dataclass(frozen=True)
 class DetectionProbability:
-    """The logit of the probability: a constant plus one smooth curve for each of `FEATURES`.
+    """The logit of the probability: a constant and a smooth curve for each of `FEATURES`, by kind of road user.
 
     A curve is a uniform cubic B-spline; its coefficients go on along straight lines, so it is C2 everywhere, and
-    straight beyond its knots.
+    straight beyond its knots. Kinds that have no curves of their own take those of the first.
     """
 
     start: np.ndarray  # first knot of every curve, float64 [feature]
     step: np.ndarray  # distance between its knots, positive, float64 [feature]
-    coefficient: np.ndarray  # B-spline coefficients, one for each knot, float64 [feature, knot], at least two
-    constant: float  # the constant
+    # B-spline coefficients, one for each knot, at least two, float64 [kind, feature, knot], or without kinds
+    coefficient: np.ndarray
+    constant: np.ndarray  # float64 [kind], or a number
     # How it was fitted and how good it is, as it is written to files
     record: Mapping[str, Any] = field(default_factory=dict)
     # Pixels of the network's input for one of the image, along x and y, of the camera that it is asked about; features
@@ -149,10 +158,17 @@ class DetectionProbability:
         return cls(*curves, 0.0, network_scale=network_scale)
 
     def __post_init__(self) -> None:
-        shapes = (self.start.shape, self.step.shape, self.coefficient.shape[:1])
-        if shapes != ((FEATURE_COUNT,),) * 3 or self.coefficient.ndim != 2 or self.coefficient.shape[1] < 2:
-            raise ValueError(f"expected {FEATURE_COUNT} curves with at least 2 knots each, got shapes {shapes}")
-        numbers = np.concatenate([self.start, self.step, self.coefficient.ravel(), [self.constant]])
+        if self.coefficient.ndim == 2:
+            object.__setattr__(self, "coefficient", self.coefficient[None])
+        object.__setattr__(self, "constant", np.atleast_1d(np.asarray(self.constant, np.float64)))
+        shapes = (self.start.shape, self.step.shape, self.coefficient.shape[1:2])
+        kinds = len(self.constant)
+        if shapes != ((FEATURE_COUNT,),) * 3 or len(self.coefficient) != kinds or self.coefficient.shape[2] < 2:
+            raise ValueError(
+                f"expected {FEATURE_COUNT} curves with at least 2 knots each for each kind, got shapes {shapes} and "
+                f"{self.coefficient.shape} for {kinds}"
+            )
+        numbers = np.concatenate([self.start, self.step, self.coefficient.ravel(), self.constant])
         if not np.isfinite(numbers).all() or (self.step <= 0.0).any():
             raise ValueError("expected finite numbers and positive steps between knots")
         if not all(0.0 < scale < math.inf for scale in self.network_scale):
@@ -164,18 +180,25 @@ class DetectionProbability:
         parts = (self.start, self.step, self.coefficient, self.constant, dict(self.record), self.network_scale)
         return DetectionProbability, parts
 
-    def curve(self, feature: int, value: np.ndarray) -> np.ndarray:
-        """What a feature adds to the logit, at given values of it, float64 [value]."""
-        knots = self.coefficient.shape[1]
-        return spline_basis(value, self.start[feature], self.step[feature], knots) @ self.coefficient[feature]
+    def curve(self, feature: int, value: np.ndarray, kind: int = 0) -> np.ndarray:
+        """What a feature adds to the logit of a kind of road user, at given values of it, float64 [value]."""
+        knots = self.coefficient.shape[2]
+        return spline_basis(value, self.start[feature], self.step[feature], knots) @ self.coefficient[kind, feature]
 
-    def of_features(self, feature: np.ndarray) -> np.ndarray:
-        """The probability for features [..., feature] of objects that show at least one pixel, float64 [...]."""
+    def of_features(self, feature: np.ndarray, kind: np.ndarray | int = 0) -> np.ndarray:
+        """The probability for features [..., feature] of objects that show at least one pixel, float64 [...].
+
+        ``kind``: of each object, index into `ROAD_USERS`, int [...].
+        """
         from scipy.special import expit
 
         feature = np.asarray(feature, np.float64)
         flat = feature.reshape(-1, FEATURE_COUNT)
-        logit = self.constant + sum(self.curve(f, flat[:, f]) for f in range(FEATURE_COUNT))
+        kind = np.broadcast_to(np.where(np.less(kind, len(self.constant)), kind, 0), feature.shape[:-1]).ravel()
+        logit = self.constant[kind]
+        for f in range(FEATURE_COUNT):
+            basis = spline_basis(flat[:, f], self.start[f], self.step[f], self.coefficient.shape[2])
+            logit = logit + np.einsum("ok,ok->o", basis, self.coefficient[kind, f])
         return expit(logit).reshape(feature.shape[:-1])
 
     def on_tape(
@@ -194,19 +217,21 @@ class DetectionProbability:
         return self.of_measures(
             measure,
             in_frame_sr,
-            whole_solid_angle(position_ego_m, appearance.box, vehicle_count=measure.shape[1]),
+            whole_objects(position_ego_m, camera_from_ego, appearance.lens, appearance.box, appearance.kind),
             appearance.contrast,
             width_px=appearance.width_px,
             height_px=appearance.height_px,
         )
 
-    def of_coverage(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> Seen:
+    def of_coverage(
+        self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array
+    ) -> Seen:
         """Probabilities in the views of a render, the same numbers as `on_tape` gives; nothing is taped."""
         coverage = frame.coverage()
         return self.of_measures(
             coverage.value,
             coverage.solid_angle_sr,
-            whole_solid_angle(position_ego_m, scene.upright_box, vehicle_count=scene.vehicle_count),
+            whole_objects(position_ego_m, camera_from_ego, frame.lens, scene.upright_box, scene.kind),
             frame.contrast(coverage.value),
             width_px=frame.width_px,
             height_px=frame.height_px,
@@ -216,7 +241,7 @@ class DetectionProbability:
         self,
         measure: wp.array,
         in_frame_sr: wp.array,
-        whole_sr: wp.array,
+        whole: WholeObjects,
         contrast: wp.array,
         *,
         width_px: float,
@@ -227,44 +252,44 @@ class DetectionProbability:
         Args:
             measure: As `Frame.measure` gives them, float [view, vehicle, measure]; BOX_AREA is not used.
             in_frame_sr: Solid angle of every vehicle alone inside the image [sr], float [view, vehicle, 1].
-            whole_sr: That of its whole box, from `whole_solid_angle` [sr], float [view, vehicle].
+            whole: The vehicles, whatever the views show of them, from `whole_objects`.
             contrast: As in `Appearance`, float [view, vehicle].
         """
         device = measure.device
         pairs = measure.shape[:2]
         feature = wp.zeros((*pairs, FEATURE_COUNT), dtype=float, device=device, requires_grad=True)
         probability = wp.zeros(pairs, dtype=float, device=device, requires_grad=True)
-        coefficient, start, step = self._arrays(device)
+        coefficient, start, step, constant = self._arrays(device)
         wp.launch(
             kernels.detection_probability_kernel,
             dim=pairs,
             inputs=[
                 measure,
                 in_frame_sr,
-                whole_sr,
+                whole.solid_angle_sr,
+                whole.elevation,
+                whole.upright,
                 contrast,
+                whole.kind,
                 float(width_px),
                 float(height_px),
                 *self.network_scale,
                 coefficient,
                 start,
                 step,
-                self.constant,
+                constant,
             ],
             outputs=[feature, probability],
             device=device,
         )
         return Seen(probability, feature)
 
-    def _arrays(self, device: Any) -> tuple[wp.array, wp.array, wp.array]:  # noqa: ANN401 (Warp's)
-        """Coefficients, starts and steps on a device, copied once."""
-        kept: dict[str, tuple[wp.array, wp.array, wp.array]] = self.__dict__["_on_device"]
+    def _arrays(self, device: Any) -> list[wp.array]:  # noqa: ANN401 (Warp's)
+        """Coefficients, starts, steps and constants on a device, copied once."""
+        kept: dict[str, list[wp.array]] = self.__dict__["_on_device"]
         if device.alias not in kept:
-            kept[device.alias] = (
-                wp.array(self.coefficient, dtype=float, device=device),
-                wp.array(self.start, dtype=float, device=device),
-                wp.array(self.step, dtype=float, device=device),
-            )
+            parts = (self.coefficient, self.start, self.step, self.constant)
+            kept[device.alias] = [wp.array(part, dtype=float, device=device) for part in parts]
         return kept[device.alias]
 
     @classmethod
@@ -314,17 +339,17 @@ class DetectionProbability:
         if use is not None and data.get("identity") != use.identity:
             raise InputError(f"{file}: identity: expected {use.identity[:12]}, got another detector or camera; {again}")
         try:
-            curves = data["curves"]
+            curves, kinds = data["curves"], data["kinds"]
             names = [curve["feature"] for curve in curves]
-            if names != [each.name for each in FEATURES]:
-                raise ValueError(f"features {names}")
+            if names != [each.name for each in FEATURES] or list(kinds) != list(ROAD_USERS[: len(kinds)]):
+                raise ValueError(f"features {names}, kinds {list(kinds)}")
             [int(seed) for seed in data["fit"]["seeds"]]
             return cls(
                 np.array([curve["first_knot"] for curve in curves], np.float64),
                 np.array([curve["knot_distance"] for curve in curves], np.float64),
-                np.array([curve["coefficients"] for curve in curves], np.float64),
-                float(data["constant"]),
-                {name: value for name, value in data.items() if name not in ("curves", "constant")},
+                np.array([[curve["coefficients"][kind] for curve in curves] for kind in kinds], np.float64),
+                np.array(list(kinds.values()), np.float64),
+                {name: value for name, value in data.items() if name not in ("curves", "kinds")},
             )
         except (KeyError, TypeError, ValueError) as error:
             text = " ".join(str(error).split())
@@ -342,7 +367,7 @@ class DetectionProbability:
             "settings": use.settings,
             "population": "objects of which at least one pixel is visible in the view; the others have p = 0",
             **{name: value for name, value in self.record.items() if name not in _WRITTEN},
-            "constant": self.constant,
+            "kinds": dict(zip(ROAD_USERS, self.constant.tolist(), strict=False)),  # and their constants
             "curves": [
                 {
                     "feature": each.name,
@@ -350,7 +375,7 @@ class DetectionProbability:
                     "definition": each.definition,
                     "first_knot": float(self.start[f]),
                     "knot_distance": float(self.step[f]),
-                    "coefficients": self.coefficient[f].tolist(),
+                    "coefficients": dict(zip(ROAD_USERS, self.coefficient[:, f].tolist(), strict=False)),
                 }
                 for f, each in enumerate(FEATURES)
             ],
@@ -370,6 +395,25 @@ def stored_file(use: DetectorUse) -> Path | None:
     return next((folder / use.file_name for folder in use.folders() if (folder / use.file_name).is_file()), None)
 
 
+@dataclass(frozen=True)
+class WholeObjects:
+    """What views see of objects of which nothing is hidden or cut off."""
+
+    solid_angle_sr: wp.array  # of their upright boxes [sr], float [view, object]
+    elevation: wp.array  # see `FEATURES`, float [view, object]
+    upright: wp.array  # likewise
+    kind: wp.array  # of road user, index into `ROAD_USERS`, int [object]
+
+
+def whole_objects(
+    position_ego_m: wp.array, camera_from_ego: wp.array, lens: wp.array, box: UprightBoxes, kind: wp.array
+) -> WholeObjects:
+    """The objects of the first boxes, as many as have a kind, recorded on the active tape."""
+    solid_angle_sr = whole_solid_angle(position_ego_m, box, vehicle_count=len(kind))
+    sight = line_of_sight(position_ego_m, camera_from_ego, lens, box.centre_ego_m, vehicle_count=len(kind))
+    return WholeObjects(solid_angle_sr, *sight, kind)
+
+
 def whole_solid_angle(position_ego_m: wp.array, box: UprightBoxes, *, vehicle_count: int) -> wp.array:
     """Solid angle of the first boxes from every view's centre [sr], recorded on the active tape; [view, vehicle]."""
     device = position_ego_m.device
@@ -382,6 +426,27 @@ def whole_solid_angle(position_ego_m: wp.array, box: UprightBoxes, *, vehicle_co
         device=device,
     )
     return solid_angle_sr
+
+
+def line_of_sight(
+    position_ego_m: wp.array,
+    camera_from_ego: wp.array,
+    lens: wp.array,
+    centre_ego_m: wp.array,
+    *,
+    vehicle_count: int,
+) -> tuple[wp.array, wp.array]:
+    """Elevation and uprightness of `WholeObjects`, recorded on the active tape; both float [view, vehicle]."""
+    device, pairs = position_ego_m.device, (len(position_ego_m), vehicle_count)
+    elevation, upright = (wp.zeros(pairs, dtype=float, device=device, requires_grad=True) for _ in range(2))
+    wp.launch(
+        kernels.line_of_sight_kernel,
+        dim=len(position_ego_m),
+        inputs=[position_ego_m, camera_from_ego, lens, centre_ego_m],
+        outputs=[elevation, upright],
+        device=device,
+    )
+    return elevation, upright
 
 
 def spline_basis(value: np.ndarray, start: float, step: float, knot_count: int) -> np.ndarray:

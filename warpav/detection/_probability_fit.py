@@ -15,8 +15,10 @@ from warpav.detection._detector import Detector
 from warpav.detection._observe import observe
 from warpav.detection._probability import (
     CONTRAST,
+    ELEVATION,
     FEATURE_COUNT,
     IN_FRAME_SHARE,
+    UPRIGHT,
     VISIBLE_SHARE,
     VISIBLE_SIZE,
     Appearance,
@@ -39,11 +41,11 @@ _MIN_OBJECTS = 200
 _MIN_OF_EACH = 10
 _ITERATIONS_MAX = 100
 
-# More pixels of the same thing, less of it hidden, less of it cut off and clearer colours never make it harder to find
-# (docs/decisions/detection.md).
-MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
+# More pixels of the same thing, less of it hidden, less of it cut off, clearer colours, a view from less high above and
+# that it stands upright in the image never make it harder to find (docs/decisions/detection.md).
+MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST, ELEVATION, UPRIGHT)
 # ... but that holds for sizes that one camera shows: a network also misses what is larger than all it was trained on.
-MONOTONE_FOR_ANY_CAMERA = (VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
+MONOTONE_FOR_ANY_CAMERA = tuple(feature for feature in MONOTONE if feature != VISIBLE_SIZE)
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class DetectionSamples:
     feature: np.ndarray  # in the order of `warpav.detection._probability.FEATURES`, float64 [object, feature]
     is_detected: np.ndarray  # whether a detection matched, bool [object]
     seed: np.ndarray  # the scene's seed, int64 [object]
+    kind: np.ndarray  # of road user, index into `ROAD_USERS`, int64 [object]
 
     def __len__(self) -> int:
         return len(self.is_detected)
@@ -63,11 +66,15 @@ class DetectionSamples:
             np.concatenate([np.zeros((0, FEATURE_COUNT)), *(part.feature for part in parts)]),
             np.concatenate([np.zeros(0, bool), *(part.is_detected for part in parts)]),
             np.concatenate([np.zeros(0, np.int64), *(part.seed for part in parts)]),
+            np.concatenate([np.zeros(0, np.int64), *(part.kind for part in parts)]),
         )
 
     def of_seeds(self, seeds: Sequence[int]) -> DetectionSamples:
-        kept = np.isin(self.seed, np.asarray(seeds, np.int64))
-        return DetectionSamples(self.feature[kept], self.is_detected[kept], self.seed[kept])
+        return self.only(np.isin(self.seed, np.asarray(seeds, np.int64)))
+
+    def only(self, kept: np.ndarray) -> DetectionSamples:
+        """Some of the objects; ``kept`` bool [object]."""
+        return DetectionSamples(*(part[kept] for part in vars(self).values()))
 
 
 def random_cameras(
@@ -132,6 +139,7 @@ def sample_detections(
         seen.feature.numpy()[:count][is_visible].astype(np.float64),
         is_detected,
         np.full(len(is_detected), seed, np.int64),
+        np.broadcast_to(scene.road_user_index, is_visible.shape)[is_visible].astype(np.int64),
     )
 
 
@@ -189,22 +197,54 @@ def fit_probability(
     knot_count: int = _KNOT_COUNT,
     penalties: Sequence[float] = _PENALTIES,
     monotone: Sequence[int] = MONOTONE,
-) -> tuple[DetectionProbability, float]:
-    """Fit the curves by logistic regression, penalised by their second differences.
+) -> tuple[DetectionProbability, list[float]]:
+    """Fit the curves by logistic regression, penalised by their second differences; also gives each kind's penalty.
 
-    The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
+    Kinds of which there are too few objects take the curves of all objects.
     """
+    _check_counts(samples)
+    ranges = [natural_range(samples.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]
+    basis = np.stack([spline_basis(samples.feature[:, f], *ranges[f], knot_count) for f in range(FEATURE_COUNT)], 1)
+    of_all, found = None, []
+    for kind in range(int(samples.kind.max()) + 1):
+        own = samples.kind == kind
+        if len(samples) > own.sum() and not _is_enough(samples.is_detected[own]):
+            of_all = of_all or _fitted_curves(basis, samples, rng, penalties, monotone)
+            found.append(of_all)
+        else:
+            found.append(_fitted_curves(basis[own], samples.only(own), rng, penalties, monotone))
+    coefficient, constant, penalty = zip(*found, strict=True)
+    start, step = np.array(ranges).T
+    return DetectionProbability(start, step, np.array(coefficient), np.array(constant)), list(penalty)
+
+
+def _is_enough(is_detected: np.ndarray) -> bool:
+    found, count = int(is_detected.sum()), len(is_detected)
+    return count >= _MIN_OBJECTS and min(found, count - found) >= _MIN_OF_EACH
+
+
+def _check_counts(samples: DetectionSamples) -> None:
     found, count = int(samples.is_detected.sum()), len(samples)
-    if count < _MIN_OBJECTS or min(found, count - found) < _MIN_OF_EACH:
+    if not _is_enough(samples.is_detected):
         raise ValueError(
             f"expected at least {_MIN_OBJECTS} visible objects, {_MIN_OF_EACH} of them detected and {_MIN_OF_EACH} "
             f"missed, got {count}, {found} detected and {count - found} missed"
         )
-    ranges = [natural_range(samples.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]
-    basis = np.concatenate(
-        [spline_basis(samples.feature[:, f], *ranges[f], knot_count) for f in range(FEATURE_COUNT)], axis=1
-    )
-    regression = _Regression.of(basis, samples.is_detected, knot_count, monotone)
+
+
+def _fitted_curves(
+    basis: np.ndarray,
+    samples: DetectionSamples,
+    rng: np.random.Generator,
+    penalties: Sequence[float],
+    monotone: Sequence[int],
+) -> tuple[np.ndarray, float, float]:
+    """Coefficients [feature, knot], constant and penalty of some objects, ``basis`` float64 [object, feature, knot].
+
+    The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
+    """
+    knot_count = basis.shape[2]
+    regression = _Regression.of(basis.reshape(len(basis), -1), samples.is_detected, knot_count, monotone)
     seeds = rng.permutation(np.unique(samples.seed))
     fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), samples.seed)] % _FOLD_COUNT
     best = penalties[0]
@@ -218,12 +258,11 @@ def fit_probability(
             return sum(float(np.logaddexp(0.0, each).sum() - each @ outcome) for each, outcome in pairs)
 
         best = min(penalties, key=loss)
-    weight = regression.fit(np.ones(count, bool), best)
-    start, step = np.array(ranges).T
+    weight = regression.fit(np.ones(len(basis), bool), best)
     coefficient = weight[1:].reshape(FEATURE_COUNT, knot_count)
     # every curve gives 0 in the mean; the constant is the logit of an average object
-    middle = np.einsum("fk,fk->f", coefficient, basis.mean(axis=0).reshape(FEATURE_COUNT, knot_count))
-    return DetectionProbability(start, step, coefficient - middle[:, None], float(weight[0] + middle.sum())), best
+    middle = np.einsum("fk,fk->f", coefficient, basis.mean(axis=0))
+    return coefficient - middle[:, None], float(weight[0] + middle.sum()), best
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,17 @@ from weakref import WeakKeyDictionary, ref
 import numpy as np
 import warp as wp
 
-from warpav.detection import LidarProbability, away_from, whole_solid_angle
+from warpav.detection import LidarProbability, WholeObjects, away_from, line_of_sight, whole_solid_angle
 from warpav.optimisation._mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.losses._scene_on_tape import CameraProbability
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
-from warpav.raster.buffers import Content
+from warpav.raster.buffers import Content, lens_of
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import Recording, ViewsAtOnce, beside_each_other, equal_chunks
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.scene import DeviceScene, UprightBoxes
+from warpav_kernels import raster as kernels
 
 _MEASURED = ("value", "jac_translation", "jac_rotation", "jac_log_focal")
 _VECTORS = ("jac_translation", "jac_rotation")
@@ -60,14 +61,16 @@ class CameraJacobians:
         slope = placing_slope(self.mount, pose)
         chunks = equal_chunks(len(pose), most)
         views = self._views_of(len(chunks[0]))
-        parts, position_m = [], []
+        parts, position_m, turn = [], [], []
         for chunk in chunks:
             filled = chunk[np.minimum(np.arange(views.count), len(chunk) - 1)]
             parts.append(views.shown(pose[filled], peopled).first(len(chunk)))
             position_m.append(views.placed.position_ego_m.numpy()[: len(chunk)].copy())
+            turn.append(views.placed.camera_from_ego.numpy()[: len(chunk)].copy())
         # the last chunk is filled up with copies
         shown = _Shown.joined(parts, axis=0).first(len(pose))
-        return self._differentiated(shown, np.concatenate(position_m)[: len(pose)], slope)
+        poses = np.concatenate(position_m)[: len(pose)], np.concatenate(turn)[: len(pose)]
+        return self._differentiated(shown, *poses, slope)
 
     def _views_of(self, count: int) -> _Views:
         """Views of at least so many cameras; a GPU keeps all, for what it has recorded, a CPU the last."""
@@ -81,26 +84,29 @@ class CameraJacobians:
         return known
 
     def _differentiated(
-        self, shown: _Shown, position_ego_m: np.ndarray, slope: _PlacingSlope
+        self, shown: _Shown, position_ego_m: np.ndarray, camera_from_ego: np.ndarray, slope: _PlacingSlope
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities and Jacobian of what cameras at some places [camera, 3] are shown."""
+        """Probabilities and Jacobian of what cameras at some places [camera, 3], turned so, are shown."""
         device = self.mount.device
         whole_sr, whole_slope = _whole_and_slope(position_ego_m, shown.box, device)
+        sight, sight_by_place, sight_by_spin = _sight_and_slope(
+            position_ego_m, camera_from_ego, self.camera, shown.box[0], device
+        )
         # every probability is a function of its own pair's measures alone, so one backward pass gives all slopes
-        values = (shown.measures["value"], shown.in_frame["value"], whole_sr)
+        values = (shown.measures["value"], shown.in_frame["value"], whole_sr, *sight)
         leaves = [wp.array(each, dtype=float, device=device, requires_grad=True) for each in values]
         with wp.Tape() as tape:
             seen = self.probability.model.of_measures(
                 leaves[0],
                 leaves[1],
-                leaves[2],
+                WholeObjects(*leaves[2:], wp.array(shown.kind, dtype=int, device=device)),
                 wp.array(shown.contrast, dtype=float, device=device),
                 width_px=self.camera.width_px,
                 height_px=self.camera.height_px,
             )
             found = self.probability.share_of_box(seen) or seen.probability
         tape.backward(grads={found: wp.ones_like(found)})
-        by_measure, by_in_frame, by_whole = (_gradient_of(each) for each in leaves)
+        by_measure, by_in_frame, by_whole, *by_sight = (_gradient_of(each) for each in leaves)
 
         def chained(name: str) -> np.ndarray:
             """The slope of the probability to what a Jacobian is taken to, [camera, object, ...]."""
@@ -109,9 +115,11 @@ class CameraJacobians:
             )
 
         by_position = chained("jac_translation") + by_whole[..., None] * whole_slope
+        by_position += np.einsum("fvk,fvki->vki", by_sight, sight_by_place)
+        by_spin = chained("jac_rotation") + np.einsum("fvk,fvki->vki", by_sight, sight_by_spin)
         jacobian = (
             np.einsum("vki,vij->vkj", by_position, slope.position)
-            + np.einsum("vki,vij->vkj", chained("jac_rotation"), slope.rotation)
+            + np.einsum("vki,vij->vkj", by_spin, slope.rotation)
             + chained("jac_log_focal")[..., None] * slope.log_zoom[:, None]
         )
         return found.numpy().astype(np.float64), jacobian
@@ -285,6 +293,7 @@ class _Room:
         box = scene.upright_box
         count = pairs[1]
         self._box = (box.centre_ego_m.numpy()[:count], box.half_size_m.numpy()[:count], box.along.numpy()[:count])
+        self._kind = scene.road_user_index
 
     def _array(self, name: str) -> wp.array:
         """A part of the memory by its name, of vectors where the last axis is one."""
@@ -308,6 +317,7 @@ class _Room:
             {name: found[f"in_frame {name}"] for name in _MEASURED},
             found["contrast"],
             self._box,
+            self._kind,
         )
 
 
@@ -355,6 +365,7 @@ class _Shown:
     in_frame: dict[str, np.ndarray]  # likewise of the solid angle in the image [sr]
     contrast: np.ndarray  # of colours, float32 [camera, object]
     box: tuple[np.ndarray, np.ndarray, np.ndarray]  # centre, half size [m] and direction of every object's upright box
+    kind: np.ndarray  # of every object, index into `ROAD_USERS`, int32 [object]
 
     @classmethod
     def joined(cls, shown: Sequence[_Shown], *, axis: int) -> _Shown:
@@ -365,6 +376,7 @@ class _Shown:
             {name: np.concatenate([each.in_frame[name] for each in shown], axis) for name in _MEASURED},
             np.concatenate([each.contrast for each in shown], axis),
             shown[0].box if axis == 0 else tuple(map(np.concatenate, boxes)),  # pyright: ignore[reportArgumentType]
+            shown[0].kind if axis == 0 else np.concatenate([each.kind for each in shown]),
         )
 
     def first(self, count: int) -> _Shown:
@@ -374,6 +386,7 @@ class _Shown:
             {name: value[:count] for name, value in self.in_frame.items()},
             self.contrast[:count],
             self.box,
+            self.kind,
         )
 
 
@@ -400,6 +413,33 @@ def _whole_and_slope(
         slope.append(-_gradient_of(centre))
         tape.zero()
     return np.array(whole_sr), np.array(slope)
+
+
+def _sight_and_slope(
+    position_ego_m: np.ndarray, camera_from_ego: np.ndarray, camera: CameraModel, centre_ego_m: np.ndarray, device: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `line_of_sight` gives, [2, camera, object], with its slopes to a camera's centre and its spin, [..., 3].
+
+    Every pair is a view of its own, of an object in the origin.
+    """
+    pairs = len(position_ego_m), len(centre_ego_m)
+    place = wp.array(
+        (position_ego_m[:, None] - centre_ego_m).reshape(-1, 3), dtype=wp.vec3, device=device, requires_grad=True
+    )
+    turn_of_pair = np.repeat(camera_from_ego, pairs[1], axis=0)
+    turn = wp.array(turn_of_pair, dtype=wp.mat33, device=device, requires_grad=True)
+    lens = wp.array([lens_of(camera)], dtype=kernels.Lens, device=device)
+    with wp.Tape() as tape:
+        found = line_of_sight(place, turn, lens, wp.zeros(1, dtype=wp.vec3, device=device), vehicle_count=1)
+    by_place, by_spin = [], []
+    for each in found:
+        tape.backward(grads={each: wp.ones_like(each)})
+        by_place.append(_gradient_of(place).reshape(*pairs, 3))
+        # with the vector s the rotation R becomes R + [s]x R
+        spin = np.cross(turn_of_pair.swapaxes(1, 2), _gradient_of(turn).swapaxes(1, 2)).sum(axis=1)
+        by_spin.append(spin.reshape(*pairs, 3))
+        tape.zero()
+    return np.array([each.numpy().reshape(pairs) for each in found]), np.array(by_place), np.array(by_spin)
 
 
 def _gradient_of(array: wp.array) -> np.ndarray:

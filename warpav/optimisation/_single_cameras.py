@@ -222,7 +222,7 @@ class SingleCameras:
             log_focal=views.log_zoom,
             content=Content.MEASURES if self.mount.cameras[module].beams else Content.COVERAGE,
         )
-        return self.probabilities[module].detected(frame, scene, views.position_ego_m).numpy()
+        return self.probabilities[module].detected(frame, scene, views.position_ego_m, views.camera_from_ego).numpy()
 
     def in_ego(self, pose: np.ndarray) -> tuple[np.ndarray, list[CameraModel]]:
         """Poses of cameras in the ego frame, float64 [camera, 4, 4], and their models."""

@@ -120,7 +120,7 @@ class Buffers:
         )
         self._intrinsics_px = self.zeros(self.view_count, wp.vec4)
         self._near_m = self.zeros(self.view_count, float)
-        self._lens = self.zeros(self.view_count, kernels.Lens)
+        self.lens = self.zeros(self.view_count, kernels.Lens)
         self._models: list[CameraModel] = []
         self._kept: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
@@ -239,7 +239,7 @@ class Buffers:
         intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
-        wp.copy(self._lens, wp.array([lens_of(model) for model in models], dtype=kernels.Lens, device=self.device))
+        wp.copy(self.lens, wp.array([lens_of(model) for model in models], dtype=kernels.Lens, device=self.device))
         if bent != self.bent:
             on_gpu = (kernels.trace_keys_kernel, kernels.scatter_bent_crossings_kernel)
             drawing = (kernels.scatter_bent_triangles_kernel,) if self.device.is_cpu else on_gpu
@@ -274,7 +274,7 @@ class Buffers:
             kernels.place_views_kernel,
             self.view_count,
             inputs=[
-                self.position_world_m, self.camera_from_world, self._intrinsics_px, self._near_m, self._lens,
+                self.position_world_m, self.camera_from_world, self._intrinsics_px, self._near_m, self.lens,
                 self.log_focal, self.rays.ray, self.rays.set_of_view if self.bent else self._no_set, self.supersampling,
                 self.width, self.height,
             ],

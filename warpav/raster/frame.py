@@ -56,6 +56,11 @@ class Frame:
         return self._buffers.view_count
 
     @property
+    def lens(self) -> wp.array:
+        """The lens of every view, of the kernels' `Lens` [view]; `Renderer.set_lenses` writes others there."""
+        return self._buffers.lens
+
+    @property
     def width_px(self) -> int:
         """Width of the images."""
         return self._buffers.width_px

@@ -290,7 +290,7 @@ def fit_detector(
     model = replace(found.model, record={**found.model.record, "command": shlex.join(words)})
     file = _write(model, use, out)
     _draw_reliability(found.scores, found.probability, found.unseen.is_detected, file.with_name(file.stem))
-    detection_curves(model, found.known.feature, file.with_name(f"{file.stem}_curves.png"))
+    detection_curves(model, found.known, file.with_name(f"{file.stem}_curves.png"))
     _show(model.record, progress)
     return file
 
@@ -319,9 +319,9 @@ def fit(
         progress: As of `warpav.optimise`.
 
     Returns:
-        ``model``, a function of six features of a view; ``known`` and ``unseen``, the objects that it was fitted and
-        evaluated on, with ``feature`` [object, 6] and ``is_detected`` [object]; ``probability`` of the unseen, 0..1;
-        ``scores``: ``auc``, ``calibration_error``, ``bins``.
+        ``model``, a function of eight features of a view, for each kind of road user; ``known`` and ``unseen``, the
+        objects that it was fitted and evaluated on, with ``feature`` [object, 8], ``is_detected`` and ``kind``
+        [object]; ``probability`` of the unseen, 0..1; ``scores``: ``auc``, ``calibration_error``, ``bins``.
 
     Raises:
         InputError: Scenes are too few, serve two purposes or are those of the test, or the detector finds none or all.
@@ -357,7 +357,7 @@ def fit(
         )
         text = f"{name} finds {_counts(known)['detected']} of {len(known)} objects, fewer than {_FEW:.0%}; {advice}"
         say_or_warn(f"warning: {text}", "the fit is kept as it is", shown)
-    probability = model.of_features(unseen.feature)
+    probability = model.of_features(unseen.feature, unseen.kind)
     try:
         scores = score(probability, unseen.is_detected)
     except ValueError as error:
@@ -499,7 +499,7 @@ def _scores_of(name: str, config: Config, fit_config: Config, seeds: tuple[int, 
             "scenes", f"expected scenes that {name} was not fitted on, got {len(shared)} of them, such as {shared[0]}"
         )
     samples = sample_camera(config, seeds, model, progress=progress)
-    probability = model.of_features(samples.feature)
+    probability = model.of_features(samples.feature, samples.kind)
     try:
         scores = score(probability, samples.is_detected)
     except ValueError as error:

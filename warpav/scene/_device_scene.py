@@ -70,6 +70,11 @@ class DeviceScene:
         return self.raster.layer_bounds_world_m.numpy()[self.raster.foreground_layer]
 
     @cached_property
+    def kind(self) -> wp.array:
+        """`road_user_index` on the device, int [vehicle]."""
+        return wp.array(self.road_user_index, dtype=int, device=self.raster.device)
+
+    @cached_property
     def upright_box(self) -> UprightBoxes:
         """The smallest upright box around every vehicle, and around the ego vehicle; computed on first use."""
         import cv2

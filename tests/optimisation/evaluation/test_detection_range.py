@@ -40,6 +40,7 @@ def test_the_probability_is_the_models_of_the_area_that_a_render_shows(found):
     least_px = min(border_px) - math.log(sum(math.exp(min(border_px) - each) for each in border_px))
     box_sr = scene.upright_box
     at = wp.array(np.array([[-place_m, 0.0, 1.5]], np.float32), dtype=wp.vec3, device="cpu")
+    middle_m = float(box_sr.centre_ego_m.numpy()[0, 2])
     whole_sr = whole_solid_angle(at, box_sr, vehicle_count=1).numpy()[0, 0]
     ray = MODEL.rays(np.stack([column + 0.5, row + 0.5], axis=-1))
     focal_px = float(MODEL.intrinsics[0, 0])
@@ -51,6 +52,8 @@ def test_the_probability_is_the_models_of_the_area_that_a_render_shows(found):
         math.log((extent_px[0] + 1.0) / (extent_px[1] + 1.0)),
         math.log(4.0 + least_px),
         average_contrast(model),
+        (middle_m - 1.5) / math.hypot(place_m, middle_m - 1.5),
+        1.0,  # the camera is level
     ]
     assert found.probability[0, 0, 1] == pytest.approx(
         float(model.of_features(np.array(feature))), abs=2e-3

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from warpav.detection import CONTRAST, VISIBLE_SIZE, DetectionProbability, whole_solid_angle
+from warpav.detection import CONTRAST, VISIBLE_SIZE, DetectionProbability, whole_objects
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
@@ -192,7 +192,7 @@ def _probabilities(
         seen = model.of_measures(
             covered.value,
             covered.solid_angle_sr,
-            whole_solid_angle(position_m, scene.upright_box, vehicle_count=1),
+            whole_objects(position_m, camera_from_ego, frame.lens, scene.upright_box, scene.kind),
             contrast,
             width_px=drawn.width_px,
             height_px=drawn.height_px,

@@ -34,15 +34,17 @@ class CameraProbability:
     def identity(self) -> tuple[object, ...]:
         """All that the probabilities depend on."""
         model = self.model
-        curves = (np.asarray(part, np.float64).tobytes() for part in (model.start, model.step, model.coefficient))
-        return *curves, model.constant, self.probability
+        parts = (model.start, model.step, model.coefficient, model.constant)
+        return *(np.asarray(part, np.float64).tobytes() for part in parts), self.probability
 
-    def detected(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> wp.array:
+    def detected(
+        self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array
+    ) -> wp.array:
         """The probability that each view detects each object, nothing taped; float [view, object].
 
         ``frame``: a render of the scene with coverage.
         """
-        seen = self.model.of_coverage(frame, scene, position_ego_m)
+        seen = self.model.of_coverage(frame, scene, position_ego_m, camera_from_ego)
         return self.share_of_box(seen) or seen.probability
 
     def share_of_box(self, seen: Seen) -> wp.array | None:

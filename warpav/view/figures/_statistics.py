@@ -33,7 +33,7 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.detection import CalibrationBin, DetectionProbability
+    from warpav.detection import CalibrationBin, DetectionProbability, DetectionSamples
     from warpav.optimisation import CameraOutages, Difference, MountTolerance
 
 
@@ -64,14 +64,15 @@ def reliability_diagram(
         return save_figure(figure, path)
 
 
-def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Path | str) -> Path:
-    """Draw what every feature adds to the logit of detection, over where objects have it, [object, feature]."""
-    from warpav.detection import FEATURES
+def detection_curves(model: DetectionProbability, samples: DetectionSamples, path: Path | str) -> Path:
+    """Draw what every feature adds to the logit of detection of each kind of road user, over where objects have it."""
+    from warpav.detection import FEATURES, ROAD_USERS
 
     with figure_style():
         figure = new_figure(WIDTH_INCH, 0.62 * WIDTH_INCH)
-        axes = figure.subplots(2, 3, sharey=True)
-        for f, (axis, each) in enumerate(zip(axes.flat, FEATURES, strict=True)):
+        feature, kinds = samples.feature, range(len(model.constant))
+        axes = figure.subplots(2, 4, sharey=True)
+        for f, (axis, each) in enumerate(zip(axes.flat, FEATURES, strict=False)):
             low, high = np.quantile(feature[:, f], [0.002, 0.998])
             value = np.linspace(low, max(high, low + 1e-3), 200)
             share = axis.twinx()
@@ -80,10 +81,15 @@ def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Pat
             share.set_ylim(0, share.get_ylim()[1] * 2.5)
             axis.set_zorder(share.get_zorder() + 1)
             axis.patch.set_visible(False)
-            axis.plot(value, model.curve(f, value), color=hex_colour(camera_rgb(0)))
+            for kind in kinds:
+                axis.plot(
+                    value, model.curve(f, value, kind), color=hex_colour(camera_rgb(kind)), label=ROAD_USERS[kind]
+                )
             axis.set(title=each.name.replace("_", " "), xlabel=each.unit)
         for axis in axes[:, 0]:
             axis.set_ylabel("added to the logit")
+        axes.flat[-1].set_axis_off()
+        axes.flat[-1].legend(*axes.flat[0].get_legend_handles_labels(), loc="center")
         return save_figure(figure, path)
 
 
