@@ -337,9 +337,8 @@ def test_what_is_written_is_found_again(tmp_path, rng):
     use = use_of(tmp_path)
     model, file = written(tmp_path, rng, use)
     found = DetectionProbability.find(use, unseen=[3, 4])
-    for name in ("start", "step", "coefficient"):
+    for name in ("start", "step", "coefficient", "constant"):
         np.testing.assert_array_equal(getattr(found, name), getattr(model, name))
-    assert found.constant == model.constant
     assert found.record["command"] == "warpav detector fit"
     data = json.loads(file.read_text())
     assert [curve["feature"] for curve in data["curves"]] == [each.name for each in FEATURES]
@@ -374,8 +373,8 @@ def test_a_fit_that_saw_the_test_scenes_is_refused(tmp_path, rng):
         (lambda data: [], "schema: expected 2, got None"),
         (lambda data: {**data, "curves": data["curves"][:-1]}, "damaged file"),
         (lambda data: {**data, "curves": None}, "damaged file"),
-        (lambda data: {**data, "constant": "high"}, "damaged file"),
-        (lambda data: {**data, "constant": float("nan")}, "damaged file .*finite"),
+        (lambda data: {**data, "kinds": {"vehicle": "high"}}, "damaged file"),
+        (lambda data: {**data, "kinds": {"vehicle": float("nan"), "pedestrian": 0.0}}, "damaged file .*finite"),
         (lambda data: {k: v for k, v in data.items() if k != "fit"}, "damaged file .*fit"),
     ],
 )

@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from tests.driving_scene import ALL_CARS, ConstantDetector, on_device, packed_street, roof
 from warpav.detection import (
-    CONTRAST,
+    MONOTONE,
     VISIBLE_SIZE,
     DetectionSamples,
     fit_probability,
@@ -41,7 +41,7 @@ def made_up(rng, count, first_seed=0):
 
 
 def test_known_curves_are_found_again(rng):
-    model, penalties = fit_probability(made_up(rng, 8000), rng=rng)
+    model, penalties = fit_probability(made_up(rng, 16000), rng=rng)
     fresh = made_up(rng, 8000, 100)
     found = model.of_features(fresh.feature, fresh.kind)
     error = found - expit(true_logit(fresh.feature) - 2.0 * fresh.kind)
@@ -56,7 +56,7 @@ def test_more_to_see_never_lowers_the_probability(rng):
     samples = made_up(rng, 1000)
     falling = rng.random(1000) < expit(3.0 - samples.feature[:, 0] - 2.0 * samples.feature[:, 1])
     model, _ = fit_probability(dataclasses.replace(samples, is_detected=falling), rng=rng)
-    for f in (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST):
+    for f in MONOTONE:
         assert np.diff(model.curve(f, np.linspace(-1.0, 9.0, 300))).min() >= -1e-9
 
 
