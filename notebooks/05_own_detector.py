@@ -135,8 +135,8 @@ print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.
 # %% [markdown]
 # The three curves on the left show what raises the probability and by how much: here the visible area first, then the
 # visible share. These are the directions in which an optimisation moves cameras. If your curve rises only at
-# thousands of pixels, the images are too small for your detector, and no place on the roof helps. (There are three more
-# features: aspect, distance from the border and contrast.)
+# thousands of pixels, the images are too small for your detector, and no place on the roof helps. (There are five more
+# features: aspect, distance from the border, contrast, and how high above and how upright an object is seen.)
 #
 # On the right the check on scenes that the fit has not seen. The area under the curve says how well the probabilities
 # put what is found before what is not: 1 is perfect, 0.5 is chance. The calibration error is their mean distance from

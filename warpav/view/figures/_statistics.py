@@ -72,7 +72,7 @@ def detection_curves(model: DetectionProbability, samples: DetectionSamples, pat
         figure = new_figure(WIDTH_INCH, 0.62 * WIDTH_INCH)
         feature, kinds = samples.feature, range(len(model.constant))
         axes = figure.subplots(2, 4, sharey=True)
-        for f, (axis, each) in enumerate(zip(axes.flat, FEATURES, strict=False)):
+        for f, (axis, each) in enumerate(zip(axes.flat, FEATURES, strict=True)):
             low, high = np.quantile(feature[:, f], [0.002, 0.998])
             value = np.linspace(low, max(high, low + 1e-3), 200)
             share = axis.twinx()
@@ -88,8 +88,7 @@ def detection_curves(model: DetectionProbability, samples: DetectionSamples, pat
             axis.set(title=each.name.replace("_", " "), xlabel=each.unit)
         for axis in axes[:, 0]:
             axis.set_ylabel("added to the logit")
-        axes.flat[-1].set_axis_off()
-        axes.flat[-1].legend(*axes.flat[0].get_legend_handles_labels(), loc="center")
+        axes.flat[-2].legend(loc="lower left")
         return save_figure(figure, path)
 
 
