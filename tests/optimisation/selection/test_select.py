@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
 from warpav.core.errors import InputError
+from warpav.optimisation import RigLimits
 from warpav.optimisation.selection._problem import Row
 from warpav.optimisation.selection._relaxation import Relaxation
 
@@ -85,6 +86,31 @@ def test_bounds_are_never_above_the_best_rig(choice, gap):
     assert found.gap <= gap
     assert best - ROUNDING <= found.objective <= best + gap + ROUNDING
     assert found.bound <= best + ROUNDING
+
+
+MIXED = {"camera": (1, 4), "lidar": (0, 2)}
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("cost_max", [None, 9.0, 4.0])
+@pytest.mark.parametrize("gap", [0.0, 0.05])
+def test_the_bound_holds_for_cameras_and_lidars_with_counts_and_a_budget(seed, cost_max, gap):
+    """Against every rig of 2 to 5 sensors out of 7 cameras and 4 LiDARs, which see all round and cost more."""
+    rng = np.random.default_rng(seed)
+    lidars = np.where(rng.uniform(size=(4, 25)) < 0.6, rng.uniform(size=(4, 25)), 0.0)
+    probability = np.minimum(np.vstack([random_pool(rng, 7, 25), lidars]), 0.9999)
+    limits = RigLimits.of(MIXED, count=(2, 5), price={"camera": 1.0, "lidar": 3.0}, cost_max=cost_max)
+    absent = limits.absent
+    kind = np.array([0] * 7 + [1] * 4 + [-1] * absent)
+    rows, found = limits.rows(kind), np.pad(probability, ((0, absent), (0, 0)))
+    best = best_by_brute_force(found, 5, rows=rows)
+    chosen = select(found, 5, rows=rows, gap=gap)
+    names = [("camera", "lidar")[k] for k in kind[chosen.cameras] if k >= 0]
+    assert 2 <= len(names) <= 5
+    assert names.count("lidar") <= 2
+    assert cost_max is None or limits.cost(names) <= cost_max
+    assert best - ROUNDING <= chosen.objective <= best + gap + 1e-9
+    assert chosen.bound <= best + ROUNDING
 
 
 @pytest.fixture(scope="module")
