@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, cr
 from warpav.core.section import (
     DEGREES_PER_UNIT,
     METRES_PER_UNIT,
+    NUMBER_OR_TEXT,
     SECONDS_PER_UNIT,
     Degrees,
     Expectation,
@@ -361,6 +362,23 @@ class RobustSettings(Section):
         return next((f"robust.{name}" for name in names if getattr(self, name) is not None), None)
 
 
+_FUSION_TEXT = "any, both, or a distance in metres within which both must find a road user, such as 60"
+
+
+def _read_fusion(value: object) -> float:
+    number = {"any": 0.0, "both": math.inf}.get(value) if isinstance(value, str) else None
+    number = number_in(value, METRES_PER_UNIT) if number is None else number
+    if number is None or not number >= 0.0:
+        mistake(f"expected {_FUSION_TEXT}, got {shown(value)}")
+    return number
+
+
+def _written_fusion(within_m: float) -> str:
+    from warpav.detection import Fusion
+
+    return str(Fusion(within_m))
+
+
 class LidarSettings(Section):
     """How many points it takes to find a road user: a curve per kind, see `warpav.detection._lidar.LidarCurve`."""
 
@@ -369,6 +387,17 @@ class LidarSettings(Section):
     cyclist: float = Field(default=5.0, gt=0.0, le=10_000.0, description="points on a cyclist for an even chance")
     steepness: float = Field(
         default=2.7, gt=0.0, le=20.0, description="how fast the chance rises with the logarithm of one and the points"
+    )
+    fusion: Annotated[
+        float,
+        BeforeValidator(_read_fusion),
+        PlainSerializer(_written_fusion),
+        Expectation(_FUSION_TEXT),
+        WithJsonSchema(NUMBER_OR_TEXT),
+    ] = Field(
+        default=0.0,
+        description="who must find a road user: any sensor; both a camera and a LiDAR (or radar); or both nearer than "
+        "so many metres from the ego frame's origin, any beyond",
     )
 
     @property

@@ -141,6 +141,11 @@ class Rig:
         self.panes  # noqa: B018 (says whether they can be told apart by name)
 
     @property
+    def is_lidar(self) -> list[bool]:
+        """Which of the cameras have beams."""
+        return [camera.model.beams is not None for camera in self.cameras]
+
+    @property
     def panes(self) -> dict[str, Pane]:
         """What its cameras look through, by name.
 
