@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 import warpav as wa
 from tests.driving_scene import SilentDetector
 from warpav.core.errors import InputError
-from warpav.detection import LidarCurve, LidarProbability, away_from, fit_lidar_curve, read_findings
+from warpav.detection import Fusion, LidarCurve, LidarProbability, away_from, fit_lidar_curve, read_findings
 from warpav.optimisation import CameraMount, ObjectiveOptions
 from warpav.optimisation._mount import MOUNT_POSE_SIZE
 from warpav.optimisation._single_cameras import SingleCameras
@@ -189,6 +190,10 @@ def test_a_rig_finds_what_a_lidar_finds_whatever_its_cameras_see():
     assert seen.detected.tolist() == (seen.lidar_finds[1] | seen.detected_by_camera[0]).tolist()
     assert np.isnan(seen.points[0]).all()
     assert len(seen.images) == 1
+    fused = RigObserver(rig, SilentDetector(), replace(options, fusion=Fusion(20.0)), device="cpu").observe(packed())
+    assert fused.detected.tolist() == (seen.lidar_finds[1] & (packed().distance_m >= 20.0)).tolist()
+    sure = replace(fused, lidar_finds=np.zeros_like(seen.lidar_finds))
+    assert not sure.detected.any()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from tests.optimisation.calls import pool_search, select
 from tests.optimisation.test_pool import streets
 from tests.optimisation.test_zones import zones
 from warpav.core.errors import InputError
+from warpav.detection import SUREST, Fusion, LidarProbability
 from warpav.optimisation import (
     PITCH_RAD,
     X_M,
@@ -36,6 +37,7 @@ from warpav.optimisation import (
 from warpav.optimisation._mount import views_of_rig
 from warpav.optimisation._pool import spread_mount_poses
 from warpav.optimisation._single_cameras import SingleCameras
+from warpav.raster.beams import Beams
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
@@ -210,6 +212,52 @@ def test_the_objective_of_modules_is_that_of_single_cameras_with_its_gradient(is
     assert objective.value_of(one, assigned[0]) == pytest.approx(2.0 * alone, rel=1e-5)
     assert objective.value_of(probability[:, :0], assigned[1]) == 0.0
     assert objective.evaluate(pose, assigned[1:2]).objective == 0.0
+
+
+@pytest.mark.parametrize("within_m", [12.0, math.inf])
+def test_a_camera_and_a_lidar_must_both_find_what_is_near(within_m):
+    """Objective and gradient against the formula, with what each sensor finds by itself and its slopes."""
+    beams = Beams(tuple(np.radians(np.linspace(-25.0, 15.0, 16))), math.radians(0.4))
+    common = {"housing": Housing((0.1, 0.1, 0.1)), "price": Price(1.0), "source": "made up"}
+    modules = (MODULES[1], Module.of_beams("lidar", beams, 0.3, **common))
+    surface = chart_of(zones(), street().ego, modules=modules, cell_m=0.05, min_upward_normal=0.6, min_zone_normal=0.7)
+    mount = CameraMount(surface, camera=[models()[1], modules[1].camera_model()], height_offset_m=0.0)
+    of_module = np.array([0, 0, 1, 1])
+    constraints = ZoneAndSpacing(surface, camera_count=4, margin_m=0.02, module=of_module)
+    of_sensors = (probabilities()[1], LidarProbability(beams))
+    objective = RigObjective(
+        mount,
+        ConstantDetector.silent(4),
+        camera_count=4,
+        losses=[(1.0, ExpectedMissRate())],
+        camera_probability=of_sensors,
+        constraints=constraints,
+        options=ObjectiveOptions(occlusion=Occlusion.EXACT, fusion=Fusion(within_m)),
+    )
+    spread = spread_mount_poses(mount, constraints, 24, seed=0)
+    pose = spread[np.concatenate([np.flatnonzero(mount.module_of(spread) == k)[:2] for k in (0, 1)])]
+    scenes = [scene for scene in streets() if scene.vehicle_count]
+    p, jacobian = SingleCameras(mount, of_sensors).with_jacobian(pose, scenes)
+    p, near = np.minimum(p, SUREST), np.concatenate([scene.distance_m for scene in scenes]) < within_m
+    assert near.any()
+    assert near.all() if within_m == math.inf else not near.all()
+    side = [(1.0 - p[of_module == k]).prod(axis=0) for k in (0, 1)]
+    missed = np.where(near, 1.0 - (1.0 - side[0]) * (1.0 - side[1]), side[0] * side[1])
+    by_side = [np.where(near, 1.0 - side[1 - k], side[1 - k]) for k in (0, 1)]
+    by_p = -np.stack(
+        [np.delete(1.0 - p[of_module == k], i % 2, axis=0)[0] * by_side[k] for i, k in enumerate(of_module)]
+    )
+    assigned = [AssignedScene(scene, np.full(scene.vehicle_count, -1, np.int32)) for scene in scenes]
+    found = objective.evaluate(pose, assigned, gradient=True, detection_probability=True)
+    assert found.objective == pytest.approx(missed.mean(), rel=1e-5)
+    np.testing.assert_allclose(
+        found.gradient, np.einsum("co,cok->ck", by_p, jacobian) / len(missed), rtol=1e-3, atol=1e-5
+    )
+    assert np.abs(found.gradient[of_module == 1]).max() > 1e-3
+    assert found.detection_probability.shape == p.shape
+    is_lidar, ends = mount.rig(pose).is_lidar, np.cumsum([scene.vehicle_count for scene in scenes])[:-1]
+    alone = [objective.value_of(each, at, is_lidar) for each, at in zip(np.split(p, ends, 1), assigned, strict=True)]
+    assert alone == pytest.approx([each.mean() for each in np.split(missed, ends)], rel=1e-9)
 
 
 def test_rigs_keep_their_modules_through_files(tmp_path):

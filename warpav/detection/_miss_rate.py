@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,10 +52,6 @@ class Fusion:
     @property
     def is_set(self) -> bool:
         return self.within_m > 0.0
-
-    def __str__(self) -> str:
-        """As the option ``lidar.fusion`` has it."""
-        return "any" if not self.is_set else "both" if math.isinf(self.within_m) else f"{self.within_m:g} m"
 
     def needs_both(self, distance_m: np.ndarray) -> np.ndarray:
         """Which objects at horizontal distances [m] need both, bool [object]."""

@@ -13,7 +13,6 @@ import numpy as np
 from warpav.core.cache import digest
 from warpav.core.errors import InputError, OptionError
 from warpav.core.warp_setup import checked_device
-from warpav.detection import Fusion
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
@@ -297,11 +296,11 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
             "knows such cameras; set optimiser.search=pool, or leave the losses as they are",
         )
     models = dict(zip(config.rig.module_counts or (), camera_models(config), strict=False))
-    if config.lidar.fusion and len({model.beams is None for model in camera_models(config)}) < 2:
+    if config.lidar.fused.is_set and len({model.beams is None for model in camera_models(config)}) < 2:
         what = "a rig of LiDARs alone" if all(model.beams for model in models.values()) and models else "no LiDAR"
         raise OptionError(
             "lidar.fusion",
-            f"expected any, as there is {what} in rig.modules, got {Fusion(config.lidar.fusion)}; add cameras and "
+            f"expected any, as there is {what} in rig.modules, got {config.lidar.fusion}; add cameras and "
             "LiDARs to rig.modules",
         )
     housings = {module.name: module.housing for module in rig_modules(config)}
@@ -350,7 +349,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
         supersampling=config.camera.supersampling,
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
         lidar=config.lidar.curve,
-        fusion=Fusion(config.lidar.fusion),
+        fusion=config.lidar.fused,
         cameras_have_bodies=config.keeps_rules,
     )
 
