@@ -296,13 +296,6 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
             "knows such cameras; set optimiser.search=pool, or leave the losses as they are",
         )
     models = dict(zip(config.rig.module_counts or (), camera_models(config), strict=False))
-    if config.lidar.fused.is_set and len({model.beams is None for model in camera_models(config)}) < 2:
-        what = "a rig of LiDARs alone" if all(model.beams for model in models.values()) and models else "no LiDAR"
-        raise OptionError(
-            "lidar.fusion",
-            f"expected any, as there is {what} in rig.modules, got {config.lidar.fusion}; add cameras and "
-            "LiDARs to rig.modules",
-        )
     housings = {module.name: module.housing for module in rig_modules(config)}
     roles = {module.name: module.role for module in rig_modules(config)}
     return CameraMount(
@@ -341,6 +334,13 @@ def objective_options(config: Config) -> ObjectiveOptions:
     """How scenes are looked at."""
     from warpav.optimisation import ObjectiveOptions
 
+    kinds = {model.beams is None for model in camera_models(config)}
+    if config.lidar.fused.is_set and len(kinds) < 2:
+        raise OptionError(
+            "lidar.fusion",
+            f"expected any, as rig.modules has no {'LiDAR' if kinds == {True} else 'camera'}, got "
+            f"{config.lidar.fusion}; add one, or set lidar.fusion=any",
+        )
     return ObjectiveOptions(
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
