@@ -8,6 +8,7 @@ import pytest
 
 import warpav as wa
 from warpav.core.errors import InputError
+from warpav.raster.beams import Radar
 from warpav.raster.lens import Lens
 from warpav.rig import Housing, Price, builtin_modules, module_table, read_modules
 from warpav.rig._module import Fitting, vertical_angle_rad
@@ -150,7 +151,17 @@ def test_a_shipped_module_is_what_its_name_says(name):
     assert used.pixels_per_degree == pytest.approx(math.radians(focal_px))
 
 
-@pytest.mark.parametrize("name", [name for name, each in SHIPPED.items() if each.beams])
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name.startswith("radar_")])
+def test_a_shipped_radar_sees_its_field_of_view(name):
+    used, beams = SHIPPED[name], SHIPPED[name].beams
+    low, high = beams.ends_rad[[0, -1]]
+    assert beams.density().sum() == pytest.approx(beams.sector_rad * (math.sin(high) - math.sin(low)), rel=0.02)
+    assert used.camera_model().lens_text == "radar"
+    assert used.least_range_m > 0.5 * math.hypot(*used.housing.size_m)
+    assert "illustrative" in used.source
+
+
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name.startswith("lidar_")])
 def test_a_shipped_lidar_is_what_its_name_says(name):
     used, beams = SHIPPED[name], SHIPPED[name].beams
     kind, number = re.search(r"lidar_(flat_|blind_spot)?(\d+)?", name).groups()
@@ -185,11 +196,44 @@ def test_a_lidar_is_read_and_its_rig_comes_back(tmp_path):
     by_angles = "elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2"
     (scanner,) = read_modules(catalogue(tmp_path, LIDAR.replace(by_angles, "pattern: scan.csv"))).values()
     assert scanner.beams.count == pytest.approx(4000, rel=0.01)
-    models = [each.camera_model() for each in (found, scanner)]
+    (radar,) = read_modules(catalogue(tmp_path, RADAR)).values()
+    assert radar.beams.radar == Radar((150.0, 60.0, 80.0), 0.5, 0.3, 0.9)
+    assert np.degrees(radar.beams.ends_rad) == pytest.approx([-8.5, 0.0, 8.5])
+    models = [each.camera_model() for each in (found, scanner, radar)]
     cameras = [wa.Camera(f"lidar_{k}", [k, 0, 2], model=model) for k, model in enumerate(models)]
     wa.write_rig(wa.Rig(cameras), tmp_path / "rig.yaml")
     back = wa.read_rig(tmp_path / "rig.yaml")
     assert [each.model for each in back.cameras] == models
+
+
+RADAR = """\
+modules:
+  - name: mine
+    kind: radar
+    radar: {azimuth_deg: [-60, 60], elevation_deg: [-8.5, 8.5], range_m: {vehicle: 150, pedestrian: 60, cyclist: 80},
+            least_range_m: 0.3, cell_m: 0.5, cell_deg: 3, visible_share: 0.3, probability: 0.9}
+    housing: {size_m: [0.1, 0.09, 0.03]}
+    price: {value: 3, unit: EUR}
+    source: data sheet 9
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("cyclist: 80", "lorry: 80", "radar.range_m.cyclist: expected metres, such as 80, got nothing"),
+        ("visible_share: 0.3", "visible_share: 1.3", "radar: visible_share: expected a share between 0 and 1"),
+        ("probability: 0.9", "probability: 95", "radar: probability: expected more than 0, at most 1, got 95"),
+        ("cell_deg: 3", "cell_deg: 300", "radar: step_rad: expected a positive angle within the sector"),
+        ("kind: radar", "kind: lidar", "beams: expected the beams of a LiDAR"),
+        ("    price", "    lens: fisheye\n    price", "lens: expected nothing of another kind than radar"),
+    ],
+)
+def test_a_mistake_in_a_radar_is_named(tmp_path, old, new, told):
+    assert RADAR.count(old) == 1
+    with pytest.raises(InputError) as caught:
+        read_modules(catalogue(tmp_path, RADAR.replace(old, new)))
+    assert told in str(caught.value)
 
 
 @pytest.mark.parametrize(

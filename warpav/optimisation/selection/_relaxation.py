@@ -102,7 +102,7 @@ class Price:
         """How much lower the bound would be with one more camera in the pool, if negative; float64 [camera].
 
         No rig of the pool and one such camera is below ``bound + min(0, reduced cost)``; the camera is taken to be free
-        of conflicts, and to find of what a camera and a LiDAR must find no more than the surest of its kind in the pool.
+        of conflicts, and to find what a camera and a LiDAR must find no surer than its kind in the pool.
         """
         missed = self._missed(detection_probability)
         with np.errstate(divide="ignore"):
