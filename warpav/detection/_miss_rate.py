@@ -45,10 +45,6 @@ class Fusion:
 
     within_m: float = 0.0  # horizontal distance of a box's centre from the ego frame's origin below which it is so [m]
 
-    def __post_init__(self) -> None:
-        if not self.within_m >= 0.0:
-            raise ValueError(f"within_m must be at least 0, got {self.within_m}")
-
     @property
     def is_set(self) -> bool:
         return self.within_m > 0.0
@@ -64,10 +60,19 @@ class Fusion:
         return np.concatenate([weight - 2.0 * both, both, both])
 
     @staticmethod
-    def columns(found: np.ndarray, is_lidar: Sequence[bool] | np.ndarray) -> np.ndarray:
-        """The columns of one scene out of what each sensor finds or its slopes, [camera, object, ...]."""
+    def columns(found: np.ndarray, is_lidar: Sequence[bool] | np.ndarray, counts: Sequence[int]) -> np.ndarray:
+        """The columns of scenes with so many objects, scene by scene.
+
+        Args:
+            found: What each sensor finds or its slopes, [camera, object, ...].
+            is_lidar: Which of the sensors are LiDARs, bool [camera].
+            counts: Objects of every scene.
+        """
         own = np.asarray(is_lidar, bool).reshape(-1, *(1,) * (found.ndim - 1))
-        return np.concatenate([found, np.where(own, 0.0, found), np.where(own, found, 0.0)], axis=1).astype(found.dtype)
+        columns = np.zeros((len(found), 3 * found.shape[1], *found.shape[2:]), found.dtype)
+        for column, part in zip(Fusion.triples(counts).T, (found, found * ~own, found * own), strict=True):
+            columns[:, column] = part
+        return columns
 
     @staticmethod
     def triples(counts: Sequence[int]) -> np.ndarray:

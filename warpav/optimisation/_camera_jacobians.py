@@ -218,27 +218,26 @@ class LidarJacobians:
 
         found = beside_each_other(drawn, peopled, renderers)
         points, by_view, distance_m, by_place = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
-        most = self._most(pose, peopled, points, by_view, distance_m, by_place)
+        greatest = self._greatest(pose, peopled, points, by_view, distance_m, by_place)
         kind = np.concatenate([scene.road_user_index for scene in peopled])
         leaves = [
             wp.array(each, dtype=float, device=self.mount.device, requires_grad=True) for each in (points, distance_m)
         ]
         with wp.Tape() as tape:
-            _, value = self.probability.of_points(leaves[0], leaves[1], kind, most)
+            _, value = self.probability.of_points(leaves[0], leaves[1], kind, greatest)
         tape.backward(grads={value: wp.ones_like(value)})
         by_points, by_distance = (_gradient_of(each) for each in leaves)
         by_view = by_points * by_view
         by_view[..., :3] += by_distance[..., None] * by_place
         return value.numpy().astype(np.float64), placing_slope(self.mount, pose).chained(by_view)
 
-    def _most(
+    def _greatest(
         self,
         pose: np.ndarray,
         peopled: Sequence[DeviceScene],
         points: np.ndarray,
         by_view: np.ndarray,
-        distance_m: np.ndarray,
-        direction: np.ndarray,
+        *away: np.ndarray,
     ) -> np.ndarray | None:
         """The greatest probabilities of a radar [camera, object], None of a LiDAR; what shows becomes `shares`."""
         if self.probability.beams.radar is None:
@@ -252,7 +251,7 @@ class LidarJacobians:
         whole_sr, slope = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
         points[:], by_view[:] = self.probability.shares(points, whole_sr, by_view, slope)
         ends = np.cumsum([scene.vehicle_count for scene in peopled])[:-1]
-        of_scene = zip(*(np.split(each, ends, 1) for each in (points, whole_sr, distance_m, direction)), strict=True)
+        of_scene = zip(*(np.split(each, ends, 1) for each in (points, whole_sr, *away)), strict=True)
         return np.concatenate([self.probability.most(*each) for each in of_scene], axis=1)
 
     def _drawn(self, pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, ...]:

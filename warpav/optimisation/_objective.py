@@ -251,8 +251,7 @@ class RigObjective:
         """What sensors find of the objects of scenes, float [camera, object], in the columns that have weights."""
         if not self.options.fusion.is_set:
             return detection_probability
-        parts = np.split(detection_probability, np.cumsum([scene.vehicle_count for scene in scenes])[:-1], axis=1)
-        return np.concatenate([Fusion.columns(part, is_lidar) for part in parts], axis=1)
+        return Fusion.columns(detection_probability, is_lidar, [scene.vehicle_count for scene in scenes])
 
     def _count(self, loss: Loss, scenes: Sequence[AssignedScene]) -> float:
         """What the mean of a loss over some scenes is over: the sum of `Loss.count`, or of weights; never 0."""

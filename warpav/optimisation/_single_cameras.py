@@ -147,10 +147,9 @@ class SingleCameras:
         if not self.is_fused:
             return found
         is_lidar = np.array([model.beams is not None for model in self.mount.cameras])[self.mount.module_of(pose)]
-        parts = np.split(found, np.cumsum([scene.vehicle_count for scene in scenes])[:-1], axis=1)
-        of_scene = zip(parts, scenes, strict=True)
-        fused = [Fusion.columns(part, is_lidar) if isinstance(at, DeviceScene) else part for part, at in of_scene]
-        return np.concatenate(fused, axis=1)
+        counts = [scene.vehicle_count for scene in scenes if isinstance(scene, DeviceScene)]
+        fused = Fusion.columns(found[:, : sum(counts)], is_lidar, counts)
+        return np.concatenate([fused, found[:, sum(counts) :]], axis=1)
 
     def _alone(self, pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
         """`detection_probability` of cameras, float32 [camera, 7], of pairs without their mirror images."""

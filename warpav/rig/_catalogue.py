@@ -185,8 +185,8 @@ class RadarForm(Form):
         """
         range_m = self.range_m.vehicle, self.range_m.pedestrian, self.range_m.cyclist
         radar = Radar(range_m, self.cell_m, self.visible_share, self.probability)
-        azimuth_rad, elevation_rad = (tuple(map(math.radians, each)) for each in (self.azimuth_deg, self.elevation_deg))
-        return Beams.of_radar(radar, azimuth_rad, elevation_rad, math.radians(self.cell_deg), self.rate_hz)
+        (right, left), (low, high) = np.radians([self.azimuth_deg, self.elevation_deg]).tolist()
+        return Beams.of_radar(radar, (right, left), (low, high), math.radians(self.cell_deg), self.rate_hz)
 
 
 _Pixels = Annotated[list[int], Field(min_length=2, max_length=2)]

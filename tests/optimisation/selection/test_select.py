@@ -116,7 +116,7 @@ def test_the_bound_holds_for_cameras_and_lidars_with_counts_and_a_budget(seed, c
 
     best = min(missed(rig) for rig in every_rig(len(found), 5, rows=rows))
     fused = {"weight": fusion.weights(distance_m, weight), "triple": Fusion.triples([25])}
-    chosen = select(Fusion.columns(found, ~is_camera), 5, rows=rows, gap=gap, **fused)
+    chosen = select(Fusion.columns(found, ~is_camera, [25]), 5, rows=rows, gap=gap, **fused)
     assert chosen.objective == pytest.approx(missed(chosen.cameras), abs=1e-12)
     names = [("camera", "lidar")[k] for k in kind[chosen.cameras] if k >= 0]
     assert 2 <= len(names) <= 5
