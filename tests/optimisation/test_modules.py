@@ -238,26 +238,28 @@ def test_a_camera_and_a_lidar_must_both_find_what_is_near(within_m):
     pose = spread[np.concatenate([np.flatnonzero(mount.module_of(spread) == k)[:2] for k in (0, 1)])]
     scenes = [scene for scene in streets() if scene.vehicle_count]
     p, jacobian = SingleCameras(mount, of_sensors).with_jacobian(pose, scenes)
-    p, near = np.minimum(p, SUREST), np.concatenate([scene.distance_m for scene in scenes]) < within_m
+    near = np.concatenate([scene.distance_m for scene in scenes]) < within_m
     assert near.any()
-    assert near.all() if within_m == math.inf else not near.all()
-    side = [(1.0 - p[of_module == k]).prod(axis=0) for k in (0, 1)]
-    missed = np.where(near, 1.0 - (1.0 - side[0]) * (1.0 - side[1]), side[0] * side[1])
-    by_side = [np.where(near, 1.0 - side[1 - k], side[1 - k]) for k in (0, 1)]
-    by_p = -np.stack(
-        [np.delete(1.0 - p[of_module == k], i % 2, axis=0)[0] * by_side[k] for i, k in enumerate(of_module)]
-    )
+    assert near.all() == (within_m == math.inf)
+
+    def missed(p):
+        by_cameras, by_lidars = ((1.0 - np.minimum(p[of_module == k], SUREST)).prod(axis=0) for k in (0, 1))
+        return np.where(near, 1.0 - (1.0 - by_cameras) * (1.0 - by_lidars), by_cameras * by_lidars)
+
     assigned = [AssignedScene(scene, np.full(scene.vehicle_count, -1, np.int32)) for scene in scenes]
     found = objective.evaluate(pose, assigned, gradient=True, detection_probability=True)
-    assert found.objective == pytest.approx(missed.mean(), rel=1e-5)
-    np.testing.assert_allclose(
-        found.gradient, np.einsum("co,cok->ck", by_p, jacobian) / len(missed), rtol=1e-3, atol=1e-5
-    )
+    assert found.objective == pytest.approx(missed(p).mean(), rel=1e-5)
+    np.testing.assert_allclose(found.detection_probability, p, atol=1e-6)
+    for camera, number in itertools.product(range(4), (X_M, Y_M, YAW_RAD)):
+        step = np.zeros_like(p)
+        step[camera] = 1e-4 * jacobian[camera, :, number]
+        slope = (missed(p + step) - missed(p - step)).mean() / 2e-4
+        assert found.gradient[camera, number] == pytest.approx(slope, rel=1e-3, abs=1e-5)
     assert np.abs(found.gradient[of_module == 1]).max() > 1e-3
-    assert found.detection_probability.shape == p.shape
-    is_lidar, ends = mount.rig(pose).is_lidar, np.cumsum([scene.vehicle_count for scene in scenes])[:-1]
-    alone = [objective.value_of(each, at, is_lidar) for each, at in zip(np.split(p, ends, 1), assigned, strict=True)]
-    assert alone == pytest.approx([each.mean() for each in np.split(missed, ends)], rel=1e-9)
+    ends = np.cumsum([scene.vehicle_count for scene in scenes])[:-1]
+    of_scene = zip(np.split(p, ends, 1), assigned, strict=True)
+    alone = [objective.value_of(each, scene, mount.rig(pose).is_lidar) for each, scene in of_scene]
+    assert alone == pytest.approx([each.mean() for each in np.split(missed(p), ends)], rel=1e-6)
 
 
 def test_rigs_keep_their_modules_through_files(tmp_path):

@@ -37,6 +37,7 @@ from warpav_kernels.detection import lidar_probability as kernels
 
 _LEAST_ROWS = 20
 _LARGEST_STEEPNESS = 20.0
+_LEAST_SR = 1e-12
 _RADAR_STEEPNESS = 12.0
 """Of the curve of a radar: .93 of its probability at a quarter more than its share, .04 at a quarter less."""
 
@@ -190,42 +191,17 @@ class LidarProbability:
         whole = None
         if self.beams.radar is not None:
             whole = whole_solid_angle(position_ego_m, scene.upright_box, vehicle_count=scene.vehicle_count).numpy()
-            shown = self.shares(points.numpy(), whole)[0]
+            shown = 100.0 * points.numpy() / np.maximum(whole[..., None], _LEAST_SR)
             points = wp.array(shown, dtype=float, device=points.device)
         most = self.most(points.numpy(), whole, distance_m, direction)
         return self.of_points(points, distance_m, scene.road_user_index, most)
-
-    @staticmethod
-    def shares(
-        shown_sr: np.ndarray,
-        whole_sr: np.ndarray,
-        jacobian: np.ndarray | float = 0.0,
-        whole_slope: np.ndarray | float = 0.0,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Percent of the objects' boxes that show [view, object, 1], and their derivatives to the views, [..., 7].
-
-        Args:
-            shown_sr: What shows [sr], [view, object, 1].
-            whole_sr: Solid angles of the boxes, [view, object].
-            jacobian: Derivatives of what shows to the views, [view, object, 7].
-            whole_slope: Those of the boxes to the views' centres, [view, object, 3].
-        """
-        whole = np.maximum(whole_sr[..., None], 1e-12)
-        slope = 100.0 * jacobian / whole
-        if not isinstance(whole_slope, float):
-            slope[..., :3] -= 100.0 * shown_sr / whole**2 * whole_slope
-        return 100.0 * shown_sr / whole, slope
 
     def most(
         self, points: np.ndarray, whole_sr: np.ndarray | None, distance_m: np.ndarray, direction: np.ndarray
     ) -> np.ndarray:
         """The greatest probability of every object, float [view, object]; a radar's is 0 of what merges into another.
 
-        Args:
-            points: As of `of_points`.
-            whole_sr: As of `shares`; None: of a LiDAR.
-            distance_m: Of every object from every view [m], float [view, object].
-            direction: From there to the view, unit vectors [..., 3].
+        Of points as of `of_points`, solid angles of boxes (None: of a LiDAR), and what `away_from` gives.
         """
         radar, found = self.beams.radar, np.ones(distance_m.shape)
         if radar is None or whole_sr is None:
@@ -255,7 +231,7 @@ class LidarProbability:
         """Points that return, and the probability to find each object, recorded on the active tape.
 
         Args:
-            points: Expected beams, of a radar `shares`, float [view, object, 1]; gradients flow to them.
+            points: Expected beams, of a radar percent of boxes, float [view, object, 1]; gradients flow to them.
             distance_m: Of every object from every view [m], float [view, object]; gradients flow to an array of Warp.
             road_user_index: Kind of every object, index into `ROAD_USERS`, int [object].
             most: As `most` gives it; None: 1.

@@ -61,13 +61,7 @@ class Fusion:
 
     @staticmethod
     def columns(found: np.ndarray, is_lidar: Sequence[bool] | np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """The columns of scenes with so many objects, scene by scene.
-
-        Args:
-            found: What each sensor finds or its slopes, [camera, object, ...].
-            is_lidar: Which of the sensors are LiDARs, bool [camera].
-            counts: Objects of every scene.
-        """
+        """What each sensor finds or its slopes, [camera, object, ...], in columns of scenes with so many objects."""
         own = np.asarray(is_lidar, bool).reshape(-1, *(1,) * (found.ndim - 1))
         columns = np.zeros((len(found), 3 * found.shape[1], *found.shape[2:]), found.dtype)
         for column, part in zip(Fusion.triples(counts).T, (found, found * ~own, found * own), strict=True):

@@ -239,7 +239,7 @@ class LidarJacobians:
         by_view: np.ndarray,
         *away: np.ndarray,
     ) -> np.ndarray | None:
-        """The greatest probabilities of a radar [camera, object], None of a LiDAR; what shows becomes `shares`."""
+        """The greatest probabilities of a radar [camera, object], None of a LiDAR; points become percent of boxes."""
         if self.probability.beams.radar is None:
             return None
         position_m = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1).position_ego_m.numpy()
@@ -249,7 +249,10 @@ class LidarJacobians:
             boxes = (box.centre_ego_m.numpy()[:count], box.half_size_m.numpy()[:count], box.along.numpy()[:count])
             parts.append(_whole_and_slope(position_m, boxes, self.mount.device))
         whole_sr, slope = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
-        points[:], by_view[:] = self.probability.shares(points, whole_sr, by_view, slope)
+        percent = 100.0 / np.maximum(whole_sr[..., None], 1e-12)
+        by_view[..., :3] -= points * percent / 100.0 * slope  # of a quotient
+        by_view *= percent
+        points *= percent
         ends = np.cumsum([scene.vehicle_count for scene in peopled])[:-1]
         of_scene = zip(*(np.split(each, ends, 1) for each in (points, whole_sr, *away)), strict=True)
         return np.concatenate([self.probability.most(*each) for each in of_scene], axis=1)

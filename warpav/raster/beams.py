@@ -150,11 +150,7 @@ class Beams:
         cell_rad: float,
         rate_hz: float = 15.0,
     ) -> Beams:
-        """A radar's field of view between two azimuths and two elevations [rad]; ``cell_rad``: its cell of azimuth.
-
-        Raises:
-            ValueError: Angles out of range.
-        """
+        """A radar's field of view between two azimuths and two elevations [rad]; ``cell_rad``: its cell of azimuth."""
         low, high = elevation_rad
         quarter, most_m = 0.25 * (high - low), max(radar.range_m)
         return cls((low + quarter, high - quarter), cell_rad, azimuth_rad, (most_m, most_m), None, rate_hz, radar)
@@ -220,8 +216,8 @@ class Beams:
         width, height, (fx, fy), (_, cy) = self.panorama
         edge_rad = (cy - np.arange(height + 1)) / fy
         if self.radar is not None:
-            height_of_row = np.sin(edge_rad[:-1]) - np.sin(edge_rad[1:])
-            return np.repeat(height_of_row[:, None] / fx, width, axis=1).astype(np.float32)
+            edge = np.sin(np.clip(edge_rad, *self.ends_rad[[0, -1]]))
+            return np.repeat((edge[:-1, None] - edge[1:, None]) / fx, width, axis=1).astype(np.float32)
         cells = self._cells
         below = np.concatenate([np.zeros((1, cells.shape[1])), np.cumsum(cells, axis=0)])
         at_edge = np.stack([np.interp(edge_rad, self.ends_rad, part) for part in below.T], axis=1)

@@ -114,14 +114,12 @@ def test_the_bound_holds_for_cameras_and_lidars_with_counts_and_a_budget(seed, c
         both = 1.0 - (1.0 - by_cameras) * (1.0 - by_lidars)
         return np.average(np.where(distance_m < fusion.within_m, both, by_cameras * by_lidars), weights=weight)
 
-    best = min(missed(rig) for rig in every_rig(len(found), 5, rows=rows))
+    rigs = list(every_rig(len(found), 5, rows=rows))
+    best = min(map(missed, rigs))
     fused = {"weight": fusion.weights(distance_m, weight), "triple": Fusion.triples([25])}
     chosen = select(Fusion.columns(found, ~is_camera, [25]), 5, rows=rows, gap=gap, **fused)
     assert chosen.objective == pytest.approx(missed(chosen.cameras), abs=1e-12)
-    names = [("camera", "lidar")[k] for k in kind[chosen.cameras] if k >= 0]
-    assert 2 <= len(names) <= 5
-    assert names.count("lidar") <= 2
-    assert cost_max is None or limits.cost(names) <= cost_max
+    assert tuple(chosen.cameras) in rigs
     assert best - ROUNDING <= chosen.objective <= best + gap + 1e-9
     assert chosen.bound <= best + ROUNDING
     assert chosen.gap <= max(gap, 1e-9)
