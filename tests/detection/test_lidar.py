@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,13 +12,14 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 import warpav as wa
 from tests.driving_scene import SilentDetector
+from warpav import detection
 from warpav.core.errors import InputError
 from warpav.detection import LidarCurve, LidarProbability, away_from, fit_lidar_curve, read_findings
 from warpav.optimisation import CameraMount, ObjectiveOptions
 from warpav.optimisation._mount import MOUNT_POSE_SIZE
 from warpav.optimisation._single_cameras import SingleCameras
 from warpav.optimisation.evaluation._metrics import RigObserver
-from warpav.raster.beams import PIXELS_PER_RAD, Beams
+from warpav.raster.beams import PIXELS_PER_RAD, Beams, Radar
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -158,11 +160,47 @@ def test_a_table_of_findings_gives_the_curve_that_made_it(tmp_path):
             read_findings(table)
 
 
-def test_the_slope_of_single_lidars_is_that_of_their_probabilities():
+RADAR = Beams.of_radar(Radar((60.0, 30.0, 40.0), 0.6, 0.3, 0.9), (-1.2, 1.2), (-0.2, 0.2), math.radians(4.0))
+
+
+def test_a_radar_finds_what_rays_say_shows_enough_of_its_box():
+    """Against rays of embree spread evenly over the solid angle."""
+    place = wp.array(PLACE_M[None], dtype=wp.vec3)
+    rays, owner = caster()
+    azimuth, sine = np.meshgrid(np.arange(-1.2, 1.2, 8e-4), np.arange(-math.sin(0.2), math.sin(0.2), 8e-4))
+    level = np.sqrt(1.0 - sine**2)
+    ray = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), sine], -1).reshape(-1, 3)
+    hit = rays.intersects_first(np.repeat(PLACE_M[None], len(ray), 0), ray)
+    shown_sr = 8e-4**2 * np.bincount(owner[hit[hit >= 0]], minlength=owner[-1] + 1)[: len(town().vehicles)]
+    whole_sr = detection.whole_solid_angle(place, packed().upright_box, vehicle_count=packed().vehicle_count).numpy()[0]
+    returned, found = LidarProbability(RADAR).returned(rendered(RADAR, packed().raster, PLACE_M, 2), packed(), place)
+    distance_m = away_from(packed(), PLACE_M[None])[0][0]
+    range_m = np.array([60.0, 30.0, 40.0])[packed().road_user_index]
+    share = 100.0 * shown_sr / whole_sr / (1.0 + np.exp((distance_m - range_m) / (0.05 * range_m)))
+    assert returned.numpy()[0] == pytest.approx(share, abs=2.5)
+    clear = (share > 40.0) | (share < 20.0)
+    assert (found.numpy()[0][clear] > 0.45).tolist() == (share > 30.0)[clear].tolist()
+    assert found.numpy().max() == pytest.approx(0.9, abs=0.01)
+
+
+def test_of_what_is_in_one_cell_of_a_radar_the_one_that_shows_most_is_found():
+    turn = np.radians([0.0, 3.0, 10.0, 12.0, -178.5, 179.0])
+    direction = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)[None]
+    distance_m = np.array([[20.0, 20.5, 20.2, 21.0, 9.0, 9.1]])
+    shown, whole_sr = np.array([[[50.0], [60.0], [70.0], [5.0], [80.0], [40.0]]]), np.array([[1, 1, 1, 1, 1, 3]]) * 0.01
+    most = LidarProbability(RADAR).most(shown, whole_sr, distance_m, direction)
+    assert most[0] == pytest.approx([0.0, 0.9, 0.9, 0.9, 0.0, 0.9])  # 3 and 4 are .8 m apart, the last two touch behind
+    half = wp.array(np.full((1, 3, 1), 30.0), dtype=float)
+    _, found = LidarProbability(RADAR).of_points(half, np.array([[1.0, 31.5, 10.0]]), np.array([0, 1, 2]))
+    assert found.numpy()[0] == pytest.approx([0.5, 0.0, 0.5], abs=0.01)  # a pedestrian's range is 30 m
+
+
+@pytest.mark.parametrize("beams", [EVEN, RADAR], ids=["lidar", "radar"])
+def test_the_slope_of_single_lidars_is_that_of_their_probabilities(beams):
     """Against differences along a line, over a step that many samples cross."""
     surface = MountSurface(np.full((41, 41), 1.9), np.array([0.0, -1.0]), 0.05)
-    mount = CameraMount(surface, camera=CameraModel.of_beams(EVEN, 0.3), height_offset_m=0.1)
-    cameras = SingleCameras(mount, LidarProbability(EVEN, LidarCurve(steepness=1.0)), supersampling=2)
+    mount = CameraMount(surface, camera=CameraModel.of_beams(beams, 0.3), height_offset_m=0.1)
+    cameras = SingleCameras(mount, LidarProbability(beams, LidarCurve(steepness=1.0)), supersampling=2)
     pose, step_m = np.zeros((1, MOUNT_POSE_SIZE), np.float32), 0.15
     pose[0, :2] = PLACE_M[:2]
     value, jacobian = cameras.with_jacobian(pose, [packed()])
@@ -189,6 +227,10 @@ def test_a_rig_finds_what_a_lidar_finds_whatever_its_cameras_see():
     assert seen.detected.tolist() == (seen.lidar_finds[1] | seen.detected_by_camera[0]).tolist()
     assert np.isnan(seen.points[0]).all()
     assert len(seen.images) == 1
+    fused = RigObserver(rig, SilentDetector(), replace(options, fusion=detection.Fusion(20.0)), device="cpu").observe(
+        packed()
+    )
+    assert fused.detected.tolist() == (seen.lidar_finds[1] & (packed().distance_m >= 20.0)).tolist()
 
 
 @pytest.mark.parametrize(

@@ -179,7 +179,8 @@ def lidar_finds(new):
     points = new(size=(VIEWS, VEHICLES, 1), low=1.0, high=9.0)
     distance = new(size=(VIEWS, VEHICLES), low=40.0, high=60.0)
     out = [new(np.zeros((VIEWS, VEHICLES))), new(np.zeros((VIEWS, VEHICLES)))]
-    return (VIEWS, VEHICLES), [points, distance, new(size=VEHICLES, low=2.0, high=6.0), 2.7, 50.0], out
+    half, range_m = new(size=VEHICLES, low=2.0, high=6.0), new(size=VEHICLES, low=48.0, high=52.0)
+    return (VIEWS, VEHICLES), [points, distance, half, 2.7, range_m, new(size=(VIEWS, VEHICLES), low=0.5)], out
 
 
 def zone_excess(new):

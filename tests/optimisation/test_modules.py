@@ -14,6 +14,7 @@ from tests.optimisation.calls import pool_search, select
 from tests.optimisation.test_pool import streets
 from tests.optimisation.test_zones import zones
 from warpav.core.errors import InputError
+from warpav.detection import SUREST, Fusion, LidarProbability
 from warpav.optimisation import (
     PITCH_RAD,
     X_M,
@@ -36,6 +37,7 @@ from warpav.optimisation import (
 from warpav.optimisation._mount import views_of_rig
 from warpav.optimisation._pool import spread_mount_poses
 from warpav.optimisation._single_cameras import SingleCameras
+from warpav.raster.beams import Beams
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
@@ -210,6 +212,54 @@ def test_the_objective_of_modules_is_that_of_single_cameras_with_its_gradient(is
     assert objective.value_of(one, assigned[0]) == pytest.approx(2.0 * alone, rel=1e-5)
     assert objective.value_of(probability[:, :0], assigned[1]) == 0.0
     assert objective.evaluate(pose, assigned[1:2]).objective == 0.0
+
+
+@pytest.mark.parametrize("within_m", [12.0, math.inf])
+def test_a_camera_and_a_lidar_must_both_find_what_is_near(within_m):
+    """Objective and gradient against the formula, with what each sensor finds by itself and its slopes."""
+    beams = Beams(tuple(np.radians(np.linspace(-25.0, 15.0, 16))), math.radians(0.4))
+    common = {"housing": Housing((0.1, 0.1, 0.1)), "price": Price(1.0), "source": "made up"}
+    modules = (MODULES[1], Module.of_beams("lidar", beams, 0.3, **common))
+    surface = chart_of(zones(), street().ego, modules=modules, cell_m=0.05, min_upward_normal=0.6, min_zone_normal=0.7)
+    mount = CameraMount(surface, camera=[models()[1], modules[1].camera_model()], height_offset_m=0.0)
+    of_module = np.array([0, 0, 1, 1])
+    constraints = ZoneAndSpacing(surface, camera_count=4, margin_m=0.02, module=of_module)
+    of_sensors = (probabilities()[1], LidarProbability(beams))
+    objective = RigObjective(
+        mount,
+        ConstantDetector.silent(4),
+        camera_count=4,
+        losses=[(1.0, ExpectedMissRate())],
+        camera_probability=of_sensors,
+        constraints=constraints,
+        options=ObjectiveOptions(occlusion=Occlusion.EXACT, fusion=Fusion(within_m)),
+    )
+    spread = spread_mount_poses(mount, constraints, 24, seed=0)
+    pose = spread[np.concatenate([np.flatnonzero(mount.module_of(spread) == k)[:2] for k in (0, 1)])]
+    scenes = [scene for scene in streets() if scene.vehicle_count]
+    p, jacobian = SingleCameras(mount, of_sensors).with_jacobian(pose, scenes)
+    near = np.concatenate([scene.distance_m for scene in scenes]) < within_m
+    assert near.any()
+    assert near.all() == (within_m == math.inf)
+
+    def missed(p):
+        by_cameras, by_lidars = ((1.0 - np.minimum(p[of_module == k], SUREST)).prod(axis=0) for k in (0, 1))
+        return np.where(near, 1.0 - (1.0 - by_cameras) * (1.0 - by_lidars), by_cameras * by_lidars)
+
+    assigned = [AssignedScene(scene, np.full(scene.vehicle_count, -1, np.int32)) for scene in scenes]
+    found = objective.evaluate(pose, assigned, gradient=True, detection_probability=True)
+    assert found.objective == pytest.approx(missed(p).mean(), rel=1e-5)
+    np.testing.assert_allclose(found.detection_probability, p, atol=1e-6)
+    for camera, number in itertools.product(range(4), (X_M, Y_M, YAW_RAD)):
+        step = np.zeros_like(p)
+        step[camera] = 1e-4 * jacobian[camera, :, number]
+        slope = (missed(p + step) - missed(p - step)).mean() / 2e-4
+        assert found.gradient[camera, number] == pytest.approx(slope, rel=1e-3, abs=1e-5)
+    assert np.abs(found.gradient[of_module == 1]).max() > 1e-3
+    ends = np.cumsum([scene.vehicle_count for scene in scenes])[:-1]
+    of_scene = zip(np.split(p, ends, 1), assigned, strict=True)
+    alone = [objective.value_of(each, scene, mount.rig(pose).is_lidar) for each, scene in of_scene]
+    assert alone == pytest.approx([each.mean() for each in np.split(missed(p), ends)], rel=1e-6)
 
 
 def test_rigs_keep_their_modules_through_files(tmp_path):

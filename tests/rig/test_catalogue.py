@@ -8,6 +8,7 @@ import pytest
 
 import warpav as wa
 from warpav.core.errors import InputError
+from warpav.raster.beams import Radar
 from warpav.raster.lens import Lens
 from warpav.rig import Housing, Price, builtin_modules, module_table, read_modules
 from warpav.rig._module import Fitting, vertical_angle_rad
@@ -153,14 +154,16 @@ def test_a_shipped_module_is_what_its_name_says(name):
 @pytest.mark.parametrize("name", [name for name, each in SHIPPED.items() if each.beams])
 def test_a_shipped_lidar_is_what_its_name_says(name):
     used, beams = SHIPPED[name], SHIPPED[name].beams
-    kind, number = re.search(r"lidar_(flat_|blind_spot)?(\d+)?", name).groups()
+    kind, number = re.search(r"(?:lidar|radar)_(flat_|blind_spot|[a-z_]+)?(\d+)?", name).groups()
     if kind is None:
         assert (len(beams.elevation_rad), beams.is_all_round) == (int(number), True)
     elif number is not None:
         assert math.degrees(beams.sector_rad) == pytest.approx(float(number))
     assert "illustrative" in used.source
     assert used.camera_model().near_m == used.least_range_m > 0.5 * math.hypot(*used.housing.size_m)
-    assert beams.density().sum() == pytest.approx(beams.count, rel=1e-3)
+    low, high = np.sin(beams.ends_rad[[0, -1]])
+    expected = beams.count if beams.radar is None else beams.sector_rad * (high - low)
+    assert beams.density().sum() == pytest.approx(expected, rel=1e-3)
 
 
 LIDAR = """\
@@ -185,11 +188,22 @@ def test_a_lidar_is_read_and_its_rig_comes_back(tmp_path):
     by_angles = "elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2"
     (scanner,) = read_modules(catalogue(tmp_path, LIDAR.replace(by_angles, "pattern: scan.csv"))).values()
     assert scanner.beams.count == pytest.approx(4000, rel=0.01)
-    models = [each.camera_model() for each in (found, scanner)]
+    (radar,) = read_modules(catalogue(tmp_path, RADAR)).values()
+    assert radar.beams.radar == Radar((150.0, 60.0, 80.0), 0.5, 0.3, 0.9)
+    assert np.degrees(radar.beams.ends_rad) == pytest.approx([-8.5, 0.0, 8.5])
+    models = [each.camera_model() for each in (found, scanner, radar)]
     cameras = [wa.Camera(f"lidar_{k}", [k, 0, 2], model=model) for k, model in enumerate(models)]
     wa.write_rig(wa.Rig(cameras), tmp_path / "rig.yaml")
     back = wa.read_rig(tmp_path / "rig.yaml")
     assert [each.model for each in back.cameras] == models
+
+
+RADAR = re.sub(
+    "lidar\n    beams: .*",
+    "radar\n    radar: {azimuth_deg: [-60, 60], elevation_deg: [-8.5, 8.5], least_range_m: 0.3, cell_m: 0.5, cell_deg: "
+    "3, range_m: {vehicle: 150, pedestrian: 60, cyclist: 80}, visible_share: 0.3, probability: 0.9}",
+    LIDAR,
+)
 
 
 @pytest.mark.parametrize(
@@ -203,12 +217,17 @@ def test_a_lidar_is_read_and_its_rig_comes_back(tmp_path):
         ("    kind: lidar\n", "", "sensor_px: expected columns and rows"),
         ("    zones: [roof]\n", "    zones: [roof]\n    lens: fisheye\n", "lens: expected nothing of another kind"),
         ("elevation_deg: [-25, 15], lines: 32, azimuth_step_deg: 0.2", "pattern: none.csv", "none.csv"),
+        (", cyclist: 80", "", "radar.range_m.cyclist: expected metres, such as 80, got nothing"),
+        ("visible_share: 0.3", "visible_share: 1.3", "radar: visible_share: expected a share between 0 and 1"),
+        ("probability: 0.9", "probability: 95", "radar: probability: expected more than 0, at most 1, got 95"),
+        ("cell_deg: 3", "cell_deg: 300", "radar: step_rad: expected a positive angle within the sector"),
     ],
 )
 def test_a_mistake_in_a_lidar_is_one_line(tmp_path, old, new, told):
-    assert LIDAR.count(old) == 1
+    text = LIDAR if old in LIDAR else RADAR
+    assert text.count(old) == 1
     with pytest.raises(InputError) as caught:
-        read_modules(catalogue(tmp_path, LIDAR.replace(old, new)))
+        read_modules(catalogue(tmp_path, text.replace(old, new)))
     assert told in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 

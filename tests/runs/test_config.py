@@ -6,7 +6,7 @@ import pytest
 
 from warpav.core.errors import InputError, OptionError
 from warpav.optimisation import FreeRanges
-from warpav.runs._mounts import camera_model, free_ranges
+from warpav.runs._mounts import camera_model, free_ranges, objective_options
 from warpav.runs.config import (
     Config,
     config_names,
@@ -149,6 +149,20 @@ def test_angles_take_units(text, degrees):
 def test_seeds_take_ranges_and_lists(text, seeds):
     config = load_config(None, [f"scenes.train_seeds={text}"])
     assert config.scenes.train_seeds == seeds
+
+
+@pytest.mark.parametrize(
+    ("text", "within_m"), [("any", 0.0), ("both", math.inf), ("60", 60.0), ("0.05 m", 0.05), ("30 ft", 9.144)]
+)
+def test_fusion_is_a_word_or_a_distance_and_needs_cameras_and_lidars(text, within_m):
+    config = Config.load("quick", f"lidar.fusion={text}")
+    assert config.lidar.fused.within_m == within_m
+    assert Config.model_validate(config.model_dump(mode="json")).lidar == config.lidar
+    objective_options(config.replace({"rig.modules": {"lidar_32": 1, "side_2mp_100": "0..3"}}))
+    for modules, missing in (({}, "LiDAR"), ({"rig.modules": {"lidar_32": 2}}, "camera")):
+        if within_m:
+            with pytest.raises(OptionError, match=f"lidar.fusion: expected any, as rig.modules has no {missing}"):
+                objective_options(config.replace(modules))
 
 
 def test_cameras_take_lenses():
@@ -297,6 +311,7 @@ OVERRIDE_MISTAKES = [
         "nuscenes",
         "command line (nuscenes): expected key=value, got 'nuscenes'; a command takes one rig; plot compares it with",
     ),
+    ("lidar.fusion=all", "command line (lidar.fusion=all): lidar.fusion: expected any, both, or a distance in metres"),
     ("rig.=3", "command line (rig.=3): expected key=value, got 'rig.=3'"),
     ("rig.cameras=[1", "command line (rig.cameras=[1): expected valid YAML, got a syntax error: "),
     (

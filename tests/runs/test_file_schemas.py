@@ -49,6 +49,9 @@ cameras:
     roll_deg: 0
     beams: {elevation_deg: [-10, 10], lines: 2, azimuth_step_deg: 1, azimuth_deg: [-90, 90], range_m: [50, 90],
             least_range_m: 0.5, rate_hz: 10, weight: [[1], [2]]}
+  - {name: e, position_m: [1, 0, 1.8], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, radar: {azimuth_deg: [-60, 60],
+     elevation_deg: [-8, 8], range_m: {vehicle: 150, pedestrian: 60, cyclist: 80}, least_range_m: 0.5, cell_m: 0.5,
+     cell_deg: 3, visible_share: 0.3, probability: 0.9, rate_hz: 15}}
 """,
     "modules": """
 extends: builtin
@@ -63,6 +66,9 @@ modules:
     housing: {size_m: [0.1, 0.1, 0.1]}
     price: {value: 1, unit: EUR}
     source: a guess
+  - {name: c, kind: radar, housing: {size_m: [0.1, 0.1, 0.1]}, price: {value: 1, unit: EUR}, source: a guess,
+     radar: {azimuth_deg: [-60, 60], elevation_deg: [-8, 8], range_m: {vehicle: 150, pedestrian: 60, cyclist: 80},
+     least_range_m: 0.5, cell_m: 0.5, cell_deg: 3, visible_share: 0.3, probability: 0.9, rate_hz: 15}}
 """,
     "zones": """
 zones:

@@ -27,6 +27,7 @@ from warpav.detection._lidar import fit_lidar_curve as fit_lidar_curve
 from warpav.detection._lidar import read_findings as read_findings
 from warpav.detection._lidar import scan as scan
 from warpav.detection._miss_rate import SUREST as SUREST
+from warpav.detection._miss_rate import Fusion as Fusion
 from warpav.detection._miss_rate import expected_miss_rate as expected_miss_rate
 from warpav.detection._miss_rate import expected_miss_slope as expected_miss_slope
 from warpav.detection._miss_rate import further_gain as further_gain

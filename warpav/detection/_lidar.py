@@ -1,5 +1,8 @@
 """What a LiDAR finds: expected points on an object as a weighted silhouette area, and a curve from points to finding.
 
+A radar is the same with other numbers: of an object's box the visible share in percent stands for points, weighted by
+solid angle, with a steep curve, a range for each road user, and cells in which objects merge.
+
 No network is claimed. The curve is stated, monotone in the points that return, and can be changed or fitted to a
 table of a user's own (`fit_lidar_curve`).
 """
@@ -24,6 +27,7 @@ from warpav.core.frames import FLU_FROM_RDF
 from warpav.core.warp_setup import checked_device
 from warpav.detection._detector import ROAD_USERS
 from warpav.detection._images import render_images
+from warpav.detection._probability import whole_solid_angle
 from warpav.raster.areas import Measures
 from warpav.raster.beams import Beams
 from warpav.raster.frame import Frame
@@ -33,6 +37,9 @@ from warpav_kernels.detection import lidar_probability as kernels
 
 _LEAST_ROWS = 20
 _LARGEST_STEEPNESS = 20.0
+_LEAST_SR = 1e-12
+_RADAR_STEEPNESS = 12.0
+"""Of the curve of a radar: .93 of its probability at a quarter more than its share, .04 at a quarter less."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,7 @@ def read_findings(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class LidarProbability:
-    """How likely a LiDAR is to find an object: of its points by a curve."""
+    """How likely a LiDAR is to find an object: of its points by a curve; or a radar, by its own numbers."""
 
     beams: Beams
     curve: LidarCurve = field(default_factory=LidarCurve)
@@ -150,7 +157,7 @@ class LidarProbability:
     @property
     def identity(self) -> tuple[object, ...]:
         """All that the probabilities depend on."""
-        return "lidar", repr(self.beams), self.curve.halves.tobytes(), self.curve.steepness
+        return self.beams.kind, repr(self.beams), self.curve.halves.tobytes(), self.curve.steepness
 
     @cached_property
     def _weight(self) -> dict[str, wp.array]:
@@ -161,7 +168,7 @@ class LidarProbability:
         return {"beams": self.beams, "curve": self.curve}
 
     def points(self, frame: Frame) -> Measures:
-        """Expected beams on every object in every view, [view, object, 1], whether or not they return.
+        """Expected beams on every object in every view, [view, object, 1], whether or not they return; of a radar [sr].
 
         `frame`: a render of the LiDAR's panorama, `CameraModel.of_beams`, with all measures.
         """
@@ -181,18 +188,55 @@ class LidarProbability:
 
     def returned(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> tuple[wp.array, wp.array]:
         """What `of_points` gives for a render."""
-        away_m, _ = away_from(scene, position_ego_m.numpy())
-        return self.of_points(self.points(frame).value, away_m, scene.road_user_index)
+        distance_m, direction = away_from(scene, position_ego_m.numpy())
+        points = self.points(frame).value
+        whole = None
+        if self.beams.radar is not None:
+            whole = whole_solid_angle(position_ego_m, scene.upright_box, vehicle_count=scene.vehicle_count).numpy()
+            shown = 100.0 * points.numpy() / np.maximum(whole[..., None], _LEAST_SR)
+            points = wp.array(shown, dtype=float, device=points.device)
+        most = self.most(points.numpy(), whole, distance_m, direction)
+        return self.of_points(points, distance_m, scene.road_user_index, most)
+
+    def most(
+        self, points: np.ndarray, whole_sr: np.ndarray | None, distance_m: np.ndarray, direction: np.ndarray
+    ) -> np.ndarray:
+        """The greatest probability of every object, float [view, object]; a radar's is 0 of what merges into another.
+
+        Of points as of `of_points`, solid angles of boxes (None: of a LiDAR), and what `away_from` gives.
+        """
+        radar, found = self.beams.radar, np.ones(distance_m.shape)
+        if radar is None or whole_sr is None:
+            return found
+        azimuth = np.arctan2(direction[..., 1], direction[..., 0])
+        apart = np.abs(np.angle(np.exp(1j * (azimuth[:, :, None] - azimuth[:, None]))))
+        is_one = (apart < self.beams.step_rad) & (np.abs(distance_m[:, :, None] - distance_m[:, None]) < radar.cell_m)
+        shown = points[..., 0] * whole_sr
+        found[(is_one & (shown[:, None] > shown[:, :, None])).any(axis=2)] = 0.0
+        return radar.probability * found
+
+    def _curve_of(self, road_user_index: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Points for an even chance of each object, steepness, and range of each [m]."""
+        radar, count = self.beams.radar, len(road_user_index)
+        if radar is not None:
+            half, range_m = np.full(count, 100.0 * radar.visible_share), np.array(radar.range_m)[road_user_index]
+            return half, _RADAR_STEEPNESS, range_m
+        return self.curve.halves[road_user_index], self.curve.steepness, np.full(count, self.beams.range_m[0])
 
     def of_points(
-        self, points: wp.array, distance_m: wp.array | np.ndarray, road_user_index: np.ndarray
+        self,
+        points: wp.array,
+        distance_m: wp.array | np.ndarray,
+        road_user_index: np.ndarray,
+        most: np.ndarray | None = None,
     ) -> tuple[wp.array, wp.array]:
         """Points that return, and the probability to find each object, recorded on the active tape.
 
         Args:
-            points: Expected beams, float [view, object, 1]; gradients flow to them.
+            points: Expected beams, of a radar percent of boxes, float [view, object, 1]; gradients flow to them.
             distance_m: Of every object from every view [m], float [view, object]; gradients flow to an array of Warp.
             road_user_index: Kind of every object, index into `ROAD_USERS`, int [object].
+            most: As `most` gives it; None: 1.
 
         Returns:
             Both float [view, object].
@@ -201,16 +245,13 @@ class LidarProbability:
         returned, probability = (wp.zeros(shape, dtype=float, device=device, requires_grad=True) for _ in range(2))
         if not isinstance(distance_m, wp.array):
             distance_m = wp.array(distance_m, dtype=float, device=device)
+        half, steepness, range_m = self._curve_of(road_user_index)
+        greatest = np.ones(shape) if most is None else most
+        on_device = [wp.array(each, dtype=float, device=device) for each in (half, range_m, greatest)]
         wp.launch(
             kernels.lidar_probability_kernel,
             dim=shape,
-            inputs=[
-                points,
-                distance_m,
-                wp.array(self.curve.halves[road_user_index], dtype=float, device=device),
-                self.curve.steepness,
-                self.beams.range_m[0],
-            ],
+            inputs=[points, distance_m, on_device[0], steepness, *on_device[1:]],
             outputs=[returned, probability],
             device=device,
         )
@@ -244,7 +285,7 @@ def scan(rig: Rig, scene: Scene, *, device: str = "cpu") -> dict[str, Scan]:
     For pictures: distances are those of the panorama's pixels. Expected points are `LidarProbability.points`.
 
     Args:
-        rig: LiDARs, and cameras, which are left out.
+        rig: LiDARs, and cameras and radars, which are left out.
         scene: The scene.
         device: Warp device.
 
@@ -254,7 +295,7 @@ def scan(rig: Rig, scene: Scene, *, device: str = "cpu") -> dict[str, Scan]:
     Raises:
         InputError: The device is not there.
     """
-    lidars = [each for each in rig.cameras if each.model.beams is not None]
+    lidars = [each for each in rig.cameras if each.model.beams is not None and each.model.beams.radar is None]
     scans = {}
     for lidar, image in zip(lidars, render_images(scene, lidars, device=checked_device(device)), strict=True):
         beams = lidar.model.beams

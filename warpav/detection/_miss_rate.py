@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 SUREST = 0.9999
@@ -10,7 +13,7 @@ _BLOCK = 512
 
 
 def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | None = None) -> float:
-    """Share of the objects that a rig misses: the weighted mean of the products of 1 - p; weights sum to 1."""
+    """Share of the objects that a rig misses: the weighted sum of the products of 1 - p; weights sum to 1."""
     missed = np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
     return float(missed.mean() if weight is None else weight @ missed)
 
@@ -26,8 +29,51 @@ def expected_miss_slope(
 
 
 def shares_of(weight: np.ndarray | None) -> np.ndarray | None:
-    """Weights of objects, at least 0 and not all 0, divided by their sum, as `expected_miss_rate` takes them."""
+    """Weights of objects, of a sum above 0, divided by it, as `expected_miss_rate` takes them."""
     return None if weight is None else np.asarray(weight, np.float64) / np.sum(weight)
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """Which road users count only where a camera and a LiDAR find them, other sensors with beams among the latter.
+
+    Sensors err independently: with a what all cameras miss of such a one and b what all LiDARs miss, it is missed with
+    a + b - ab. So a miss rate is a weighted sum of products still, and slopes, prices and replacements are what they
+    are, where objects have three columns each in a matrix of probabilities: what all sensors find, what cameras find,
+    and what LiDARs find. Their weights are w, 0, 0, and of those that need both -w, w, w.
+    """
+
+    within_m: float = 0.0  # horizontal distance of a box's centre from the ego frame's origin below which it is so [m]
+
+    @property
+    def is_set(self) -> bool:
+        return self.within_m > 0.0
+
+    def needs_both(self, distance_m: np.ndarray) -> np.ndarray:
+        """Which objects at horizontal distances [m] need both, bool [object]."""
+        return np.asarray(distance_m) < self.within_m
+
+    def weights(self, distance_m: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+        """Weights of the three columns of objects of one scene, of weights 1 or others, float64 [3 object]."""
+        weight = np.ones(len(distance_m)) if weight is None else weight
+        both = np.where(self.needs_both(distance_m), weight, 0.0)
+        return np.concatenate([weight - 2.0 * both, both, both])
+
+    @staticmethod
+    def columns(found: np.ndarray, is_lidar: Sequence[bool] | np.ndarray, counts: Sequence[int]) -> np.ndarray:
+        """What each sensor finds or its slopes, [camera, object, ...], in columns of scenes with so many objects."""
+        own = np.asarray(is_lidar, bool).reshape(-1, *(1,) * (found.ndim - 1))
+        columns = np.zeros((len(found), 3 * found.shape[1], *found.shape[2:]), found.dtype)
+        for column, part in zip(Fusion.triples(counts).T, (found, found * ~own, found * own), strict=True):
+            columns[:, column] = part
+        return columns
+
+    @staticmethod
+    def triples(counts: Sequence[int]) -> np.ndarray:
+        """The columns of every object of scenes with so many, int [object, 3]."""
+        first = 3 * np.cumsum([0, *counts])
+        parts = [start + np.arange(3 * count).reshape(3, count).T for start, count in zip(first, counts, strict=False)]
+        return np.concatenate([np.zeros((0, 3), int), *parts])
 
 
 def missed_probability(detection_probability: np.ndarray) -> np.ndarray:

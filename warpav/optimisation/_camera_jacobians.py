@@ -193,7 +193,7 @@ def _draw(renderer: Renderer, scene: DeviceScene, room: _Room, placed: PlacedVie
 
 
 class LidarJacobians:
-    """The same of LiDARs, whose probabilities follow from the points on each object."""
+    """The same of LiDARs, whose probabilities follow from the points on each object, and of radars."""
 
     def __init__(
         self,
@@ -226,17 +226,44 @@ class LidarJacobians:
 
         found = beside_each_other(drawn, peopled, renderers)
         points, by_view, distance_m, by_place = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
+        greatest = self._greatest(pose, peopled, points, by_view, distance_m, by_place)
         kind = np.concatenate([scene.road_user_index for scene in peopled])
         leaves = [
             wp.array(each, dtype=float, device=self.mount.device, requires_grad=True) for each in (points, distance_m)
         ]
         with wp.Tape() as tape:
-            _, value = self.probability.of_points(leaves[0], leaves[1], kind)
+            _, value = self.probability.of_points(leaves[0], leaves[1], kind, greatest)
         tape.backward(grads={value: wp.ones_like(value)})
         by_points, by_distance = (_gradient_of(each) for each in leaves)
         by_view = by_points * by_view
         by_view[..., :3] += by_distance[..., None] * by_place
         return value.numpy().astype(np.float64), placing_slope(self.mount, pose).chained(by_view)
+
+    def _greatest(
+        self,
+        pose: np.ndarray,
+        peopled: Sequence[DeviceScene],
+        points: np.ndarray,
+        by_view: np.ndarray,
+        *away: np.ndarray,
+    ) -> np.ndarray | None:
+        """The greatest probabilities of a radar [camera, object], None of a LiDAR; points become percent of boxes."""
+        if self.probability.beams.radar is None:
+            return None
+        position_m = self.mount.place(wp.array(pose, dtype=float, device=self.mount.device), 1).position_ego_m.numpy()
+        parts = []
+        for scene in peopled:
+            box, count = scene.upright_box, scene.vehicle_count
+            boxes = (box.centre_ego_m.numpy()[:count], box.half_size_m.numpy()[:count], box.along.numpy()[:count])
+            parts.append(_whole_and_slope(position_m, boxes, self.mount.device))
+        whole_sr, slope = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+        percent = 100.0 / np.maximum(whole_sr[..., None], 1e-12)
+        by_view[..., :3] -= points * percent / 100.0 * slope  # of a quotient
+        by_view *= percent
+        points *= percent
+        ends = np.cumsum([scene.vehicle_count for scene in peopled])[:-1]
+        of_scene = zip(*(np.split(each, ends, 1) for each in (points, whole_sr, *away)), strict=True)
+        return np.concatenate([self.probability.most(*each) for each in of_scene], axis=1)
 
     def _drawn(self, pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> tuple[np.ndarray, ...]:
         """Points on each object [camera, object, 1], their Jacobian [..., 7], distances and their slopes [..., 3]."""

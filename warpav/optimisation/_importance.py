@@ -36,9 +36,8 @@ class Importance:
     def weights(self, scene: DeviceScene) -> np.ndarray:
         """Weight of every object of a scene, at least 0, float64 [object]."""
         if scene not in self._of_scene:
-            centre_m = np.asarray(scene.ego_bounds_m, np.float64)[:, :2].mean(axis=0)
             kind = [ROAD_USERS[k] for k in scene.road_user_index]
-            place_m, time_s = scene.from_ego_m + centre_m, scene.time_to_collision_s
+            place_m, time_s = scene.place_ego_m, scene.time_to_collision_s
             self._of_scene[scene] = self.weights_at(scene.category, kind, place_m, time_s)
         return self._of_scene[scene]
 

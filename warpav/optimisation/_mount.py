@@ -474,7 +474,7 @@ def named_by_direction(cameras: Sequence[RigCamera]) -> list[RigCamera]:
     sector = [_SECTORS[round(camera.yaw_rad / (math.pi / 4.0)) % 8] for camera in cameras]
     for k, beams in enumerate(camera.model.beams for camera in cameras):
         if beams is not None:
-            sector[k] = "lidar" if beams.is_all_round else f"lidar_{sector[k]}"
+            sector[k] = beams.kind if beams.is_all_round else f"{beams.kind}_{sector[k]}"
     field_deg = [round(math.degrees(camera.model.fov_rad)) for camera in cameras]
     names = []
     for k, name in enumerate(sector):

@@ -18,6 +18,7 @@ from warpav.detection import (
     Detections,
     Detector,
     DetectorInLoop,
+    Fusion,
     LidarCurve,
     LidarProbability,
     Observation,
@@ -50,6 +51,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig import Rig
+from warpav.scene import DeviceScene
 
 # Images of so many scenes go to the detector together, while as many others are rendered.
 _SCENES_PER_QUESTION = 2
@@ -90,6 +92,7 @@ class ObjectiveOptions:
     supersampling: int = 1  # samples per pixel along each axis
     multiplier_damping: float = 0.0  # damping of the multipliers, at least 0; 0 as in the thesis
     lidar: LidarCurve = field(default_factory=LidarCurve)  # how many points it takes to find an object
+    fusion: Fusion = field(default_factory=Fusion)  # which objects a camera and a LiDAR must find
     cameras_have_bodies: bool = False  # whether the housings of cameras hide things where a rig is judged
 
 
@@ -201,10 +204,11 @@ class RigObjective:
             return False
         return loss.combine == "any" and not loss.detector_share > 0.0
 
-    def value_of(self, detection_probability: np.ndarray, scene: AssignedScene) -> float:
+    def value_of(self, detection_probability: np.ndarray, scene: AssignedScene, is_lidar: Sequence[bool] = ()) -> float:
         """The objective on one scene by what single cameras detect, float [camera, object]; 0 without objects."""
         [(weight, _)] = self.losses
         object_weight = self.object_weight([scene])
+        detection_probability = self.columns_of(detection_probability, [scene.scene], is_lidar)
         if not detection_probability.shape[1] or (object_weight is not None and not object_weight.any()):
             return 0.0
         return weight * expected_miss_rate(detection_probability, shares_of(object_weight))
@@ -214,7 +218,9 @@ class RigObjective:
         """Its cameras each by itself; only where `is_by_single_cameras`."""
         assert self.is_by_single_cameras
         probability = self._probabilities if self.mount.is_mixed else self._probabilities[0]
-        return SingleCameras(self.mount, probability, self.options.occlusion, self.options.supersampling)
+        options = self.options
+        given = {"occlusion": options.occlusion, "supersampling": options.supersampling}
+        return SingleCameras(self.mount, probability, **given, is_fused=options.fusion.is_set)
 
     @property
     def needs_panorama(self) -> bool:
@@ -227,8 +233,25 @@ class RigObjective:
         return max(weight for weight, _ in self.losses)
 
     def object_weight(self, scenes: Sequence[AssignedScene]) -> np.ndarray | None:
-        """Weight of the objects of some scenes, one scene after the other, float64 [object]; None: all 1."""
-        return None if self.importance is None else self.importance.weights_of(each.scene for each in scenes)
+        """Weight of the objects of some scenes, or of their columns, float64 [object]; None: all 1."""
+        return self.weights_of([each.scene for each in scenes])
+
+    def weights_of(self, scenes: Sequence[DeviceScene], *, alike: bool = False) -> np.ndarray | None:
+        """The same; ``alike``: as if no road user mattered more than another."""
+        importance, fusion = None if alike else self.importance, self.options.fusion
+        if not fusion.is_set:
+            return None if importance is None else importance.weights_of(scenes)
+        own = [None if importance is None else importance.weights(scene) for scene in scenes]
+        parts = [fusion.weights(scene.distance_m, each) for scene, each in zip(scenes, own, strict=True)]
+        return np.concatenate([np.zeros(0), *parts])
+
+    def columns_of(
+        self, detection_probability: np.ndarray, scenes: Sequence[DeviceScene], is_lidar: Sequence[bool]
+    ) -> np.ndarray:
+        """What sensors find of the objects of scenes, float [camera, object], in the columns that have weights."""
+        if not self.options.fusion.is_set:
+            return detection_probability
+        return Fusion.columns(detection_probability, is_lidar, [scene.vehicle_count for scene in scenes])
 
     def _count(self, loss: Loss, scenes: Sequence[AssignedScene]) -> float:
         """What the mean of a loss over some scenes is over: the sum of `Loss.count`, or of weights; never 0."""
@@ -337,7 +360,7 @@ class RigObjective:
             slope = (weight * expected_miss_slope(probability, jacobian, share)).astype(np.float32)
             if self.mount.frozen is not None:
                 slope[self.mount.frozen.is_frozen] = 0.0
-        seconds = time.perf_counter() - started
+        seconds, triples = time.perf_counter() - started, self.single_cameras.triples(packed)
         return Evaluation(
             total=weight * value,
             objective=weight * value,
@@ -345,7 +368,7 @@ class RigObjective:
             gradient=slope,
             multiplier_gradient=None,
             seconds={"render": seconds, "detect": 0.0, "backward": 0.0, "total": seconds},
-            detection_probability=probability,
+            detection_probability=probability if triples is None else probability[:, triples[:, 0]],
         )
 
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:

@@ -160,10 +160,11 @@ class CameraPool:
         found[len(self.mount_pose) :][is_new] = drawn[row[is_new] - len(self.mount_pose)]
         found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
         traffic = [scene for scene in self._source.scenes if not isinstance(scene, RequiredPoints)]
-        count = sum(scene.vehicle_count for scene in traffic)  # requirements stand behind
+        count = sum(map(self.cameras.column_count, traffic))  # requirements stand behind
         if not (may_see_nothing or found[:, :count].any()):
+            objects = sum(scene.vehicle_count for scene in traffic)
             raise InputError(
-                f"pool: expected cameras that see something, got {shape[0]} of which none sees any of the {count} "
+                f"pool: expected cameras that see something, got {shape[0]} of which none sees any of the {objects} "
                 f"objects of {len(traffic)} scenes; check scenes.targets, and where the cameras stand"
             )
         return replace(
@@ -266,7 +267,7 @@ class _Source:
     @cached_property
     def scene_index(self) -> np.ndarray:
         """Scene of every object, int32 [object]."""
-        counts = [scene.vehicle_count for scene in self.scenes]
+        counts = [self.cameras.column_count(scene) for scene in self.scenes]
         return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
 
     @cached_property
@@ -286,7 +287,7 @@ class _Source:
         for number, scene in enumerate(self.scenes):
             row = np.arange(len(mount_pose))
             if self._kept is not None:
-                is_kept, kept = self._kept.find(scene.fingerprint, scene.vehicle_count, mount_pose)
+                is_kept, kept = self._kept.find(scene.fingerprint, self.cameras.column_count(scene), mount_pose)
                 found[is_kept, objects[number]] = kept
                 row = row[~is_kept]
             missing += [

@@ -101,7 +101,7 @@ class PoolTask:
     constraints: Constraints  # where cameras may stand; frozen cameras are part of every rig
     camera_count: int  # cameras of the rig, frozen ones among them
     start: np.ndarray | None = None  # a rig whose cameras join the pool, so that the result is not worse
-    object_weight: np.ndarray | None = None  # of the objects of all scenes, scene by scene, at least 0, not all 0
+    object_weight: np.ndarray | None = None  # of the objects of all scenes, or their columns, of a sum above 0
     limits: RigLimits | None = None  # how many cameras of each of the mount's modules a rig may have
     requirements: RequiredPoints | None = None  # points that have to be seen near the vehicle besides
     robust: RobustObjective | None = None  # what is minimised instead of the expected miss rate, see `camera_loss`
@@ -128,8 +128,8 @@ class PoolTask:
 
     @property
     def object_count(self) -> int:
-        """Objects of the scenes, without the requirements' points."""
-        return sum(scene.vehicle_count for scene in self.scenes)
+        """Objects of the scenes, or their columns, without the requirements' points."""
+        return sum(map(self.cameras.column_count, self.scenes))
 
     @property
     def whole_weight(self) -> np.ndarray | None:
@@ -530,6 +530,7 @@ class PoolSearch:
             required=np.arange(len(self.assembly.frozen)),
             rows=rows,
             weight=self.object_weight,
+            triple=self.cameras.triples(self.scenes),
         )
 
     def _conflict(self, mount_pose: np.ndarray, absent: int = 0) -> sparse.csr_array:
@@ -731,6 +732,7 @@ class PoolSearch:
             required=np.arange(len(self.assembly.frozen)),
             rows=self._rows_for(pool.mount_pose[around])[0],
             weight=self.object_weight,
+            triple=self.cameras.triples(self.scenes),
         )
         first = np.searchsorted(around, rig)[None]
         if self.robust is None:

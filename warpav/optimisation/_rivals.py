@@ -93,6 +93,7 @@ def selected_search(
         conflict=too_near(pose[row], space.constraints),
         required=np.arange(held),
         weight=single.object_weight,
+        triple=single.cameras.triples(single.scenes),
     )
     selection = select(problem, start=start, gap=gap, time_limit_s=time_limit_s, seed=seed)
     rig = pose[: space.camera_count].copy()

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, cr
 from warpav.core.section import (
     DEGREES_PER_UNIT,
     METRES_PER_UNIT,
+    NUMBER_OR_TEXT,
     SECONDS_PER_UNIT,
     Degrees,
     Expectation,
@@ -71,7 +72,7 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 """Weights of the losses where the configuration says nothing, by method."""
 
 if TYPE_CHECKING:
-    from warpav.detection import LidarCurve
+    from warpav.detection import Fusion, LidarCurve
     from warpav.optimisation._camera_loss import RobustObjective
     from warpav.optimisation._mount_errors import MountErrors
     from warpav.sight import Rules
@@ -361,6 +362,18 @@ class RobustSettings(Section):
         return next((f"robust.{name}" for name in names if getattr(self, name) is not None), None)
 
 
+_FUSION_TEXT = "any, both, or a distance in metres within which both must find a road user, such as 60"
+
+
+def _read_fusion(value: object) -> str:
+    if value in ("any", "both"):
+        return str(value)
+    number = number_in(value, METRES_PER_UNIT)
+    if number is None or not 0.0 < number < math.inf:
+        mistake(f"expected {_FUSION_TEXT}, got {shown(value)}")
+    return f"{number:g} m"
+
+
 class LidarSettings(Section):
     """How many points it takes to find a road user: a curve per kind, see `warpav.detection._lidar.LidarCurve`."""
 
@@ -370,6 +383,24 @@ class LidarSettings(Section):
     steepness: float = Field(
         default=2.7, gt=0.0, le=20.0, description="how fast the chance rises with the logarithm of one and the points"
     )
+    fusion: Annotated[
+        str,
+        BeforeValidator(_read_fusion),
+        Expectation(_FUSION_TEXT),
+        WithJsonSchema(NUMBER_OR_TEXT),
+    ] = Field(
+        default="any",
+        description="who must find a road user: any sensor; both a camera and a LiDAR (or radar); or both nearer than "
+        "so many metres from the ego frame's origin, any beyond",
+    )
+
+    @property
+    def fused(self) -> Fusion:
+        """Which road users a camera and a LiDAR must find."""
+        from warpav.detection import Fusion
+
+        within_m = {"any": 0.0, "both": math.inf}.get(self.fusion)
+        return Fusion(number_in(self.fusion, METRES_PER_UNIT) or 0.0 if within_m is None else within_m)
 
     @property
     def curve(self) -> LidarCurve:

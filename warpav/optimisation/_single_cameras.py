@@ -18,7 +18,7 @@ import warp as wp
 from warpav.core.cache import digest, fingerprint
 from warpav.core.cores import available_cores, gpu_share
 from warpav.core.warp_setup import load_warp
-from warpav.detection import LidarProbability
+from warpav.detection import Fusion, LidarProbability
 from warpav.optimisation._camera_jacobians import CameraJacobians, LidarJacobians, placing_slope
 from warpav.optimisation._mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.optimisation._mount_errors import MountErrors, outside_skin
@@ -67,6 +67,7 @@ class SingleCameras:
     supersampling: int = 1  # samples per pixel along each axis, at least 1
     thread_count: int | None = None  # threads on the CPU; None: as `Renderer` takes. The numbers do not depend on it
     is_mirrored: bool = False  # whether they are the mirror images of a symmetric mount's cameras
+    is_fused: bool = False  # whether objects of scenes have the three columns of `Fusion`
     _kept_jacobians: dict[_Kind, CameraJacobians | LidarJacobians] = field(default_factory=dict, init=False, repr=False)
     _renderers: KeptRenderers = field(default_factory=KeptRenderers, kw_only=True, repr=False)
     _at_once: dict[int, ViewsAtOnce] = field(default_factory=dict, init=False, repr=False)
@@ -86,7 +87,8 @@ class SingleCameras:
             mount.device,
             mount.free,
         )
-        return _unpacked, (parts, self.probability, self.occlusion, self.supersampling, self.thread_count)
+        others = (self.occlusion, self.supersampling, self.thread_count, self.is_mirrored, self.is_fused)
+        return _unpacked, (parts, self.probability, *others)
 
     @property
     def identity(self) -> dict[str, str]:
@@ -110,24 +112,44 @@ class SingleCameras:
                 *modules,
             ),
             "camera": digest(*cameras, self.supersampling, self.occlusion.value),
-            "detector": digest(*detectors),
+            "detector": digest(*detectors, *["fused"] * self.is_fused),
             "version": fingerprint(
                 version("warp-lang"), wp.get_device(mount.device).is_cuda, code=("warpav.optimisation._single_cameras",)
             ),
         }
 
     def detection_probability(self, mount_pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
-        """The probability that each camera detects each object, float32 [camera, object]."""
+        """The probability that each camera detects each object, float32 [camera, object], fused as columns of it."""
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
-        found = np.zeros((len(pose), scene.vehicle_count), np.float32)
+        found = np.zeros((len(pose), self.column_count(scene)), np.float32)
         if found.size == 0:
             return found
-        found[:] = self._alone(pose, scene)
+        found[:] = self._columns(self._alone(pose, scene), pose, [scene])
         pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
         if len(pair):
             image = self._mirrored.detection_probability(pose[pair] * MIRROR, scene)
             found[pair] = 1.0 - (1.0 - found[pair]) * (1.0 - image)
         return found
+
+    def column_count(self, scene: DeviceScene | RequiredPoints) -> int:
+        """Columns that the objects of a scene have."""
+        return scene.vehicle_count * (3 if self.is_fused and isinstance(scene, DeviceScene) else 1)
+
+    def triples(self, scenes: Sequence[DeviceScene | RequiredPoints]) -> np.ndarray | None:
+        """As of `Fusion`, of scenes, behind which requirements may stand; None: objects have one column each."""
+        counts = [scene.vehicle_count for scene in scenes if isinstance(scene, DeviceScene)]
+        return Fusion.triples(counts) if self.is_fused else None
+
+    def _columns(
+        self, found: np.ndarray, pose: np.ndarray, scenes: Sequence[DeviceScene | RequiredPoints]
+    ) -> np.ndarray:
+        """What cameras [camera, 7] find in scenes, or its slopes, [camera, object, ...], in their columns."""
+        if not self.is_fused:
+            return found
+        is_lidar = np.array([model.beams is not None for model in self.mount.cameras])[self.mount.module_of(pose)]
+        counts = [scene.vehicle_count for scene in scenes if isinstance(scene, DeviceScene)]
+        fused = Fusion.columns(found[:, : sum(counts)], is_lidar, counts)
+        return np.concatenate([fused, found[:, sum(counts) :]], axis=1)
 
     def _alone(self, pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
         """`detection_probability` of cameras, float32 [camera, 7], of pairs without their mirror images."""
@@ -236,13 +258,13 @@ class SingleCameras:
     def with_jacobian(
         self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene | RequiredPoints]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities, float64 [camera, object], and their Jacobian to the mount poses [camera, object, 7].
+        """Probabilities, float64 [camera, object], and their Jacobian to the mount poses [camera, object, 7], or fused.
 
         Colours and occlusion by more than outlines are held fixed, as in the loss; so the mean product of misses has
         the gradient that `ExpectedMissRate` gives on the tape.
         """
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
-        probability, jacobian = self._alone_with_jacobian(pose, scenes)
+        probability, jacobian = (self._columns(each, pose, scenes) for each in self._alone_with_jacobian(pose, scenes))
         pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
         if len(pair):
             image, slope_of_image = self._mirrored.with_jacobian(pose[pair] * MIRROR, scenes)
@@ -392,7 +414,7 @@ class MisplacedCameras(SingleCameras):
     @classmethod
     def of(cls, cameras: SingleCameras, errors: MountErrors) -> MisplacedCameras:
         """The same cameras with errors of mounting."""
-        others = (cameras.occlusion, cameras.supersampling, cameras.thread_count, cameras.is_mirrored)
+        others = (cameras.occlusion, cameras.supersampling, cameras.thread_count, cameras.is_mirrored, cameras.is_fused)
         return cls(cameras.mount, cameras.probability, *others, errors=errors, _renderers=cameras._renderers)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -23,8 +23,37 @@ _CELL_RAD = math.radians(1.0)
 
 
 @dataclass(frozen=True)
+class Radar:
+    """When a radar finds a road user, judged by geometry alone: no wave, echo or clutter is modelled.
+
+    Attributes:
+        range_m: How far a vehicle, a pedestrian and a cyclist are found [m], positive.
+        cell_m: Distance in range within which two in one cell of azimuth (``step_rad`` of the beams) merge [m],
+            positive; of what merges the one that shows most is found.
+        visible_share: Share of the solid angle of a road user's box that must be visible within the field of view for
+            half of ``probability``, above 0, below 1.
+        probability: To find one that is within range and clearly visible, above 0, at most 1.
+    """
+
+    range_m: tuple[float, float, float]
+    cell_m: float
+    visible_share: float = 0.2
+    probability: float = 0.95
+
+    def __post_init__(self) -> None:
+        if len(self.range_m) != 3 or not all(0.0 < each < math.inf for each in self.range_m):
+            raise ValueError(f"range_m: expected a positive distance for each road user, got {self.range_m}")
+        if not 0.0 < self.cell_m < math.inf:
+            raise ValueError(f"cell_m: expected a positive distance, got {self.cell_m:g}")
+        if not 0.0 < self.visible_share < 1.0:
+            raise ValueError(f"visible_share: expected a share between 0 and 1, got {self.visible_share:g}")
+        if not 0.0 < self.probability <= 1.0:
+            raise ValueError(f"probability: expected more than 0, at most 1, got {self.probability:g}")
+
+
+@dataclass(frozen=True)
 class Beams:
-    """The directions in which a LiDAR measures, in axes x forward, y left, z up.
+    """The directions in which a LiDAR measures, or a radar, in axes x forward, y left, z up.
 
     Angles are rounded to microdegrees, as files write them.
 
@@ -37,6 +66,7 @@ class Beams:
         weight: Shots over those that ``step_rad`` gives, of each beam in equal parts of the sector from its left end,
             at least 0, [beam][part]; None: all 1. What a pattern leaves out or shoots more often, see `of_pattern`.
         rate_hz: Scans a second, up to 1000.
+        radar: Of a radar, see `of_radar`; None: a LiDAR.
 
     Raises:
         ValueError: A number out of its range.
@@ -48,6 +78,7 @@ class Beams:
     range_m: tuple[float, float] = (100.0, 200.0)
     weight: tuple[tuple[float, ...], ...] | None = None
     rate_hz: float = 10.0
+    radar: Radar | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elevation_rad", tuple(map(_rounded, self.elevation_rad)))
@@ -110,6 +141,24 @@ class Beams:
             rate_hz,
         )
 
+    @classmethod
+    def of_radar(
+        cls,
+        radar: Radar,
+        azimuth_rad: tuple[float, float],
+        elevation_rad: tuple[float, float],
+        cell_rad: float,
+        rate_hz: float = 15.0,
+    ) -> Beams:
+        """A radar's field of view between two azimuths and two elevations [rad]; ``cell_rad``: its cell of azimuth."""
+        low, high = elevation_rad
+        quarter, most_m = 0.25 * (high - low), max(radar.range_m)
+        return cls((low + quarter, high - quarter), cell_rad, azimuth_rad, (most_m, most_m), None, rate_hz, radar)
+
+    @property
+    def kind(self) -> str:
+        return "lidar" if self.radar is None else "radar"
+
     @property
     def _cells(self) -> np.ndarray:
         """`weight`, float64 [beam, part]."""
@@ -163,9 +212,12 @@ class Beams:
         return direction, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
 
     def density(self) -> np.ndarray:
-        """Expected beams for each pixel of the panorama, float32 [row, column]."""
+        """Expected beams for each pixel of the panorama, of a radar its solid angle [sr], float32 [row, column]."""
         width, height, (fx, fy), (_, cy) = self.panorama
         edge_rad = (cy - np.arange(height + 1)) / fy
+        if self.radar is not None:
+            edge = np.sin(np.clip(edge_rad, *self.ends_rad[[0, -1]]))
+            return np.repeat((edge[:-1, None] - edge[1:, None]) / fx, width, axis=1).astype(np.float32)
         cells = self._cells
         below = np.concatenate([np.zeros((1, cells.shape[1])), np.cumsum(cells, axis=0)])
         at_edge = np.stack([np.interp(edge_rad, self.ends_rad, part) for part in below.T], axis=1)

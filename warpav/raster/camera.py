@@ -43,7 +43,7 @@ class CameraModel:
         distortion: Coefficients in OpenCV's order: of a Brown-Conrady lens ``k1 k2 p1 p2``, also with ``k3`` or with
             ``k3 k4 k5 k6``; of a fisheye (Kannala-Brandt) ``k1 k2 k3 k4``; ``alpha beta`` of eucm, ``xi alpha`` of
             double_sphere.
-        beams: Those of a LiDAR, whose panorama the image is, see `of_beams`; None: a camera.
+        beams: Those of a LiDAR or a radar, whose panorama the image is, see `of_beams`; None: a camera.
 
     Raises:
         ValueError: A number out of its range, or numbers that contradict each other.
@@ -136,11 +136,14 @@ class CameraModel:
     @property
     def size_text(self) -> str:
         """Columns and rows of the image, or the lines of a LiDAR, as tables have it."""
-        return f"{len(self.beams.elevation_rad)} lines" if self.beams else f"{self.width_px} x {self.height_px}"
+        if self.beams is None:
+            return f"{self.width_px} x {self.height_px}"
+        radar = self.beams.radar
+        return f"{len(self.beams.elevation_rad)} lines" if radar is None else f"{max(radar.range_m):g} m"
 
     @property
     def lens_text(self) -> str:
-        return "lidar" if self.beams else str(self.lens)
+        return self.beams.kind if self.beams else str(self.lens)
 
     @property
     def half_field(self) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from warpav.core.errors import InputError
 from warpav.core.records import LEFT_OUT, Form, Number, Point2, Point3, Positive, read_form
 from warpav.core.section import mistake
 from warpav.core.table import aligned
-from warpav.raster.beams import Beams
+from warpav.raster.beams import Beams, Radar
 from warpav.raster.lens import Lens
 from warpav.rig._module import Fitting, Housing, Module, ModuleError, Price, Role
 
@@ -53,6 +53,9 @@ def _row(module: Module) -> tuple[str, ...]:
     images = ("{} x {}".format(*module.sensor_px), "{} x {}".format(*module.network_px) + crop, str(module.lens))
     if beams is not None:
         images = (f"{len(beams.elevation_rad)} lines", f"{beams.count} points", "lidar")
+    if beams is not None and beams.radar is not None:
+        cell = f"cell {beams.radar.cell_m:g} m x {math.degrees(beams.step_rad):g}°"
+        images = (f"up to {max(beams.radar.range_m):g} m", cell, "radar")
     return (
         module.name,
         *images,
@@ -153,6 +156,39 @@ def _pattern_deg(file: Path) -> np.ndarray:
     return np.array(shots).reshape(-1, 2)
 
 
+class RangesForm(Form):
+    """How far a radar finds what."""
+
+    vehicle: Positive = Field(description="metres, such as 150")
+    pedestrian: Positive = Field(description="metres, such as 60")
+    cyclist: Positive = Field(description="metres, such as 80")
+
+
+class RadarForm(Form):
+    """A radar in a file."""
+
+    azimuth_deg: Point2 = Field(description="first and last azimuth of the field of view in degrees, left positive")
+    elevation_deg: Point2 = Field(description="lowest and highest elevation of it in degrees, such as [-8, 8]")
+    range_m: RangesForm = Field(description="a mapping with vehicle, pedestrian and cyclist, metres each")
+    least_range_m: Positive = Field(description="metres from which on it measures, such as 0.3")
+    cell_m: Positive = Field(description="metres of range within which two in one cell of azimuth merge, such as 0.5")
+    cell_deg: Positive = Field(description="degrees of azimuth within which two in one cell of range merge, such as 3")
+    visible_share: Positive = Field(0.2, description="share of a box that must be visible for an even chance, below 1")
+    probability: Positive = Field(0.95, description="to find what is clearly visible within range, such as 0.95")
+    rate_hz: Positive = Field(15.0, description="scans a second, such as 15")
+
+    def beams(self, _: Path) -> Beams:
+        """Those of the radar.
+
+        Raises:
+            ValueError: Numbers that no radar has.
+        """
+        range_m = self.range_m.vehicle, self.range_m.pedestrian, self.range_m.cyclist
+        radar = Radar(range_m, self.cell_m, self.visible_share, self.probability)
+        (right, left), (low, high) = np.radians([self.azimuth_deg, self.elevation_deg]).tolist()
+        return Beams.of_radar(radar, (right, left), (low, high), math.radians(self.cell_deg), self.rate_hz)
+
+
 _Pixels = Annotated[list[int], Field(min_length=2, max_length=2)]
 _PIXELS_TEXT = "columns and rows as two whole numbers [px], such as [1920, 1080]"
 
@@ -161,8 +197,9 @@ class _ModuleForm(Form):
     """A module in a file; whether its numbers fit is for `Module` to say."""
 
     name: str = Field(description="a name, such as front_8mp_30")
-    kind: Literal["camera", "lidar"] = "camera"
+    kind: Literal["camera", "lidar", "radar"] = "camera"
     beams: BeamsForm = Field(LEFT_OUT, description="the beams of a LiDAR, a mapping, instead of the fields of a camera")
+    radar: RadarForm = Field(LEFT_OUT, description="what a radar sees, a mapping, instead of the fields of a camera")
     sensor_px: _Pixels = Field(LEFT_OUT, description=_PIXELS_TEXT)
     network_px: _Pixels = Field(LEFT_OUT, description=_PIXELS_TEXT)
     network_by: Fitting = Field(Fitting.SCALING, strict=False)
@@ -182,12 +219,12 @@ class _ModuleForm(Form):
     @model_validator(mode="after")
     def _is_of_a_kind(self) -> _ModuleForm:
         given = self.model_fields_set
-        needed = ("beams",) if self.kind == "lidar" else ("sensor_px", "fov_deg")
+        needed = {"lidar": ("beams",), "radar": ("radar",)}.get(self.kind, ("sensor_px", "fov_deg"))
         for name in needed:
             if name not in given:
                 text = type(self).model_fields[name].description
                 mistake(f"expected {text}, got nothing; add {name}, or change kind", name)
-        strange = sorted(given & (_OF_CAMERAS if self.kind == "lidar" else {"beams"}))
+        strange = sorted(given & ((_OF_CAMERAS if self.kind != "camera" else set()) | {"beams", "radar"} - {*needed}))
         if strange:
             mistake(f"expected nothing of another kind than {self.kind}, got {strange[0]}; remove it", strange[0])
         return self
@@ -201,13 +238,15 @@ class _ModuleForm(Form):
         (width, height, depth), (right, down, forward) = self.housing.size_m, self.housing.offset_m
         given["housing"] = Housing((width, height, depth), (right, down, forward))
         given["price"] = Price(self.price.value, self.price.unit)
-        if self.beams is None:
+        if self.kind == "camera":
             return Module(**given)
+        field = "beams" if self.kind == "lidar" else "radar"
+        form = given.pop(field)
         try:
-            beams = given.pop("beams").beams(folder)
+            beams = form.beams(folder)
         except ValueError as error:
-            mistake(str(error), "beams")
-        return Module.of_beams(given.pop("name"), beams, self.beams.least_range_m, **given)
+            mistake(str(error), field)
+        return Module.of_beams(given.pop("name"), beams, form.least_range_m, **given)
 
 
 _OF_CAMERAS = {"sensor_px", "network_px", "network_by", "lens", "fov_deg", "vertical_fov_deg", "distortion"}

@@ -103,7 +103,7 @@ class ModuleError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class Module:
-    """A module of a camera, or of a LiDAR (`of_beams`).
+    """A module of a camera, or of a LiDAR or radar (`of_beams`).
 
     Attributes:
         name: Short name; letters, digits, ``_``, ``-`` and ``.``.
@@ -121,8 +121,8 @@ class Module:
         power_w: What it draws [W], at least 0; None: unknown.
         zones: Names or kinds of the zones that it fits, such as ``windscreen``; empty: all.
         role: A `Role` or its name.
-        beams: Those of a LiDAR, whose panorama sensor, field of view and lens then are; None: a camera.
-        least_range_m: From where on a LiDAR measures [m], positive; nearer things do not hide. None: a camera.
+        beams: Those of a LiDAR or radar, whose panorama sensor, field of view and lens then are; None: a camera.
+        least_range_m: From where on these measure [m], positive; nearer things do not hide. None: a camera.
 
     Raises:
         ModuleError: Numbers out of range, or that contradict each other; an `InputError`.
@@ -148,7 +148,7 @@ class Module:
 
     @classmethod
     def of_beams(cls, name: str, beams: Beams, least_range_m: float, **others: Any) -> Module:  # noqa: ANN401
-        """A LiDAR; ``others`` are the fields that both kinds have: housing, price, source, power_w, zones, role."""
+        """A LiDAR or a radar; ``others``: what all kinds have: housing, price, source, power_w, zones, role."""
         width, height, _, _ = beams.panorama
         image = {"sensor_px": (width, height), "fov_rad": beams.sector_rad, "lens": Lens.EQUIRECTANGULAR}
         return cls(name=name, beams=beams, least_range_m=least_range_m, **image, **others)

@@ -24,7 +24,7 @@ from warpav.raster.beams import Beams
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.raster.pane import Pane
-from warpav.rig._catalogue import BeamsForm, builtin_modules, read_modules
+from warpav.rig._catalogue import BeamsForm, RadarForm, RangesForm, builtin_modules, read_modules
 from warpav.rig._module import PLAIN_HOUSING, Housing
 
 if TYPE_CHECKING:
@@ -141,6 +141,11 @@ class Rig:
         self.panes  # noqa: B018 (says whether they can be told apart by name)
 
     @property
+    def is_lidar(self) -> list[bool]:
+        """Which of the cameras have beams."""
+        return [camera.model.beams is not None for camera in self.cameras]
+
+    @property
     def panes(self) -> dict[str, Pane]:
         """What its cameras look through, by name.
 
@@ -246,6 +251,7 @@ def _any_of_images(schema: dict[str, Any]) -> None:
         {"required": ["module"], "properties": dict.fromkeys((*_IMAGE, "focal_px"), False)},
         {"required": list(_IMAGE)},
         {"required": ["beams"]},
+        {"required": ["radar"]},
         {"required": ["focal_px", "width_px", "height_px"]},
     ]
 
@@ -273,16 +279,18 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
         [], description="a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]"
     )
     beams: BeamsForm = Field(LEFT_OUT, description="the beams of a LiDAR, a mapping, instead of an image")
+    radar: RadarForm = Field(LEFT_OUT, description="what a radar sees, a mapping, instead of an image")
     module: Name = Field(LEFT_OUT, description="the name of a camera module, such as side_2mp_100")
     behind_glass: Name = Field(LEFT_OUT, description="the name of one of the file's panes, such as windscreen")
 
     @model_validator(mode="after")
     def _has_an_image(self) -> _CameraForm:
         given = self.model_fields_set
-        if "beams" in given:
-            strange = sorted(given & {*_IMAGE, "focal_px", "centre_px", "lens", "distortion", "behind_glass"})
+        if own := [name for name in ("beams", "radar") if name in given]:
+            others = {*_IMAGE, "focal_px", "centre_px", "lens", "distortion", "behind_glass", *own[1:]}
+            strange = sorted(given & others)
             if strange:
-                mistake(f"expected no {strange[0]} beside beams; remove one of them", strange[0])
+                mistake(f"expected no {strange[0]} beside {own[0]}; remove one of them", strange[0])
             return self
         if "module" not in given or given & {*_IMAGE, "focal_px"}:
             for name in _IMAGE:
@@ -297,8 +305,9 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
             expected = f"one of panes, {', '.join(panes)}" if panes else "panes beside frame, with this name"
             hint = nearest(self.behind_glass, panes)
             mistake(f"expected {expected}, got {self.behind_glass!r}{hint}", "behind_glass")
-        if self.beams is not None:
-            model = CameraModel.of_beams(self.beams.beams(folder), self.beams.least_range_m)
+        measures = self.beams or self.radar
+        if measures is not None:
+            model = CameraModel.of_beams(measures.beams(folder), measures.least_range_m)
         elif "width_px" in self.model_fields_set:
             angle = {} if self.fov_deg is None else {"fov_rad": math.radians(self.fov_deg)}
             given = self.model_dump(include={"lens", "focal_px", "centre_px", "distortion"}, exclude_unset=True)
@@ -377,7 +386,8 @@ def rig_text(rig: Rig) -> str:
             "module": None if camera.module is None else yaml_name(camera.module),
         }
         if model.beams is not None:
-            return placed | {"beams": _written_beams(model.beams, model.near_m)}
+            named = "beams" if model.beams.radar is None else "radar"
+            return placed | {named: _written_beams(model.beams, model.near_m)}
         return placed | {
             "behind_glass": None if camera.behind_glass is None else yaml_name(camera.behind_glass.name),
             "lens": None if model.lens is Lens.PINHOLE else str(model.lens),
@@ -397,6 +407,20 @@ def _written_beams(beams: Beams, least_range_m: float) -> dict[str, Any]:
     def degrees(angles_rad: Iterable[float]) -> str:
         return yaml_row(map(math.degrees, angles_rad), _DECIMALS)
 
+    if (radar := beams.radar) is not None:
+        return {
+            "azimuth_deg": degrees(beams.azimuth_rad),
+            "elevation_deg": degrees(beams.ends_rad[[0, -1]]),
+            "range_m": dict(
+                zip(RangesForm.model_fields, (yaml_number(each, _DECIMALS) for each in radar.range_m), strict=True)
+            ),
+            "least_range_m": yaml_number(least_range_m, _DECIMALS),
+            "cell_m": yaml_number(radar.cell_m, _DECIMALS),
+            "cell_deg": yaml_number(math.degrees(beams.step_rad), _DECIMALS),
+            "visible_share": yaml_number(radar.visible_share, _DECIMALS),
+            "probability": yaml_number(radar.probability, _DECIMALS),
+            "rate_hz": yaml_number(beams.rate_hz, _DECIMALS),
+        }
     return {
         "elevation_deg": degrees(beams.elevation_rad),
         "azimuth_step_deg": yaml_number(math.degrees(beams.step_rad), _DECIMALS),

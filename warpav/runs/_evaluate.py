@@ -134,8 +134,12 @@ def evaluate_on(
     }
     packed = [assigned.scene for assigned in scenes]
     names = {name: [camera.name for camera in rig.cameras] for name, rig in rigs.items()}
-    weight = weights_on(packed, placement)
-    found = {name: observed.detection_probability for name, observed in observations.items()}
+    objective = placement.objective
+    weight, alike = weights_on(packed, placement), objective.weights_of(packed, alike=True)
+    found = {
+        name: None if (p := seen.detection_probability) is None else objective.columns_of(p, packed, seen.rig.is_lidar)
+        for name, seen in observations.items()
+    }
     attainable = attainable_objects(placement.objective, scenes, drawing=Drawing(cache=user_cache_folder("pools")))
     iou_min = placement.objective.options.iou_min
     metrics = {
@@ -152,7 +156,10 @@ def evaluate_on(
         [scene.name for scene in packed],
         seen_objects(counted, packed, rigs),
         camera_outage={
-            name: None if each is None else CameraOutages.of(names[name], each, weight) for name, each in found.items()
+            name: None
+            if each is None
+            else CameraOutages.of(names[name], each, None if objective.importance is None else weight, alike)
+            for name, each in found.items()
         },
         requirements=requirements_of(rigs, placement),
     )
@@ -165,9 +172,8 @@ def requirements_of(rigs: Mapping[str, Rig], placement: Placement) -> dict[str, 
 
 
 def weights_on(scenes: Sequence[DeviceScene], placement: Placement) -> np.ndarray | None:
-    """Weights of the objects of scenes; None where none are set, or all of these objects have none."""
-    importance = placement.objective.importance
-    weight = None if importance is None else importance.weights_of(scenes)
+    """Weights of the objects of scenes, or their columns; None where none are set, or all of these have none."""
+    weight = placement.objective.weights_of(scenes)
     return weight if weight is not None and weight.any() else None
 
 

@@ -334,6 +334,13 @@ def objective_options(config: Config) -> ObjectiveOptions:
     """How scenes are looked at."""
     from warpav.optimisation import ObjectiveOptions
 
+    kinds = {model.beams is None for model in camera_models(config)}
+    if config.lidar.fused.is_set and len(kinds) < 2:
+        raise OptionError(
+            "lidar.fusion",
+            f"expected any, as rig.modules has no {'LiDAR' if kinds == {True} else 'camera'}, got "
+            f"{config.lidar.fusion}; add one, or set lidar.fusion=any",
+        )
     return ObjectiveOptions(
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
@@ -342,6 +349,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
         supersampling=config.camera.supersampling,
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
         lidar=config.lidar.curve,
+        fusion=config.lidar.fused,
         cameras_have_bodies=config.keeps_rules,
     )
 

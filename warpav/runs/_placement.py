@@ -128,6 +128,7 @@ class _PlacementOptions(TypedDict, total=False):
     importance: ImportanceSettings | Mapping[str, Any] | None
     requirements: str | Path | Sequence[Requirement] | None
     robust: RobustSettings | Mapping[str, Any] | None
+    fusion: str | float | None
     probability: DetectionProbability | None
 
 
@@ -227,6 +228,9 @@ class Placement:
                 ``robust``: whether the loss of a camera or errors of mounting count, as in the section ``robust``:
                 ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
 
+                ``fusion``: ``"any"`` sensor may find a road user; ``"both"``: a camera and a LiDAR must; ``60.0``: both
+                must nearer than so many metres.
+
                 ``probability``: the detector's model of detection probability, as `warpav.runs._detector_fit.fit` gives
                 it; None: the stored one, which is fitted first if there is none.
 
@@ -265,6 +269,7 @@ class Placement:
             "importance": _section(options.get("importance")),
             "requirements": _named(requirements),
             "robust": _section(options.get("robust")),
+            "lidar.fusion": options.get("fusion"),
             **{f"rig.{name}": value for name, value in (_section(options.get("rig")) or {}).items()},
         }
         given = {name: value for name, value in given.items() if value is not None}

@@ -69,6 +69,16 @@ class DeviceScene:
         """Lowest and highest corner of the ego vehicle in its frame [m], float32 [2, 3]."""
         return self.raster.layer_bounds_world_m.numpy()[self.raster.foreground_layer]
 
+    @property
+    def place_ego_m(self) -> np.ndarray:
+        """Centre of every vehicle's box in the ego frame: x and y [m], float64 [vehicle, 2]."""
+        return self.from_ego_m + np.asarray(self.ego_bounds_m, np.float64)[:, :2].mean(axis=0)
+
+    @property
+    def distance_m(self) -> np.ndarray:
+        """Horizontal distance of every vehicle's box's centre from the ego frame's origin [m], float64 [vehicle]."""
+        return np.hypot(*self.place_ego_m.T)
+
     @cached_property
     def kind(self) -> wp.array:
         """`road_user_index` on the device, int [vehicle]."""

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
 from warpav.core.errors import InputError
+from warpav.detection import Fusion
+from warpav.optimisation import RigLimits
 from warpav.optimisation.selection._problem import Row
 from warpav.optimisation.selection._relaxation import Relaxation
 
@@ -85,6 +87,42 @@ def test_bounds_are_never_above_the_best_rig(choice, gap):
     assert found.gap <= gap
     assert best - ROUNDING <= found.objective <= best + gap + ROUNDING
     assert found.bound <= best + ROUNDING
+
+
+MIXED = {"camera": (1, 4), "lidar": (0, 2)}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("cost_max", [None, 9.0, 4.0])
+@pytest.mark.parametrize("gap", [0.0, 0.05])
+@pytest.mark.parametrize("fusion", [Fusion(), Fusion(20.0), Fusion(math.inf)], ids=["any", "20 m", "both"])
+def test_the_bound_holds_for_cameras_and_lidars_with_counts_and_a_budget(seed, cost_max, gap, fusion):
+    """Against every rig of 2 to 5 sensors out of 7 cameras and 4 LiDARs, which see all round and cost more."""
+    rng = np.random.default_rng(seed)
+    distance_m, weight = rng.uniform(5.0, 60.0, 25), rng.uniform(0.5, 2.0, 25)
+    lidars = np.where(rng.uniform(size=(4, 25)) < 0.6, rng.uniform(size=(4, 25)), 0.0)
+    probability = np.minimum(np.vstack([random_pool(rng, 7, 25), lidars]), 0.9999)
+    limits = RigLimits.of(MIXED, count=(2, 5), price={"camera": 1.0, "lidar": 3.0}, cost_max=cost_max)
+    absent = limits.absent
+    kind = np.array([0] * 7 + [1] * 4 + [-1] * absent)
+    rows, found = limits.rows(kind), np.pad(probability, ((0, absent), (0, 0)))
+    is_camera = np.array(kind)[:, None] == 0
+
+    def missed(rig):
+        chosen = np.array(rig)
+        by_cameras, by_lidars = (np.prod(1.0 - found[chosen] * own[chosen], axis=0) for own in (is_camera, ~is_camera))
+        both = 1.0 - (1.0 - by_cameras) * (1.0 - by_lidars)
+        return np.average(np.where(distance_m < fusion.within_m, both, by_cameras * by_lidars), weights=weight)
+
+    rigs = list(every_rig(len(found), 5, rows=rows))
+    best = min(map(missed, rigs))
+    fused = {"weight": fusion.weights(distance_m, weight), "triple": Fusion.triples([25])}
+    chosen = select(Fusion.columns(found, ~is_camera, [25]), 5, rows=rows, gap=gap, **fused)
+    assert chosen.objective == pytest.approx(missed(chosen.cameras), abs=1e-12)
+    assert tuple(chosen.cameras) in rigs
+    assert best - ROUNDING <= chosen.objective <= best + gap + 1e-9
+    assert chosen.bound <= best + ROUNDING
+    assert chosen.gap <= max(gap, 1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -223,6 +223,7 @@ class RigObservation:
         points: Those of each LiDAR that return from an object, NaN of cameras, float [camera, object], as the rig has
             them; None: there is no LiDAR.
         lidar_finds: Whether a LiDAR finds an object: with a probability of at least one half; bool [camera, object].
+        needs_both: Which objects a camera and a LiDAR must find to count as detected, bool [object]; None: none.
     """
 
     observations: list[Observation]
@@ -232,6 +233,7 @@ class RigObservation:
     confidence_min: float = 0.0  # of a detection that is shown and matched; lower ones tell false alarms
     points: np.ndarray | None = None
     lidar_finds: np.ndarray | None = None
+    needs_both: np.ndarray | None = None
 
     @property
     def cameras(self) -> list[CameraObservation]:
@@ -250,12 +252,15 @@ class RigObservation:
         """Highest confidence of a matched detection of every object, -inf without one."""
         confidence = np.concatenate([each.matched_confidence() for each in self.observations])
         best = np.where(np.isfinite(confidence), confidence, -np.inf).max(axis=0, initial=-np.inf)
-        return np.where(self._by_lidar, 1.0, best)
+        return self._with_lidars(best, 1.0)
 
-    @property
-    def _by_lidar(self) -> np.ndarray:
-        """Whether some LiDAR finds an object, bool [object]."""
-        return np.zeros(len(self.in_frame), bool) if self.lidar_finds is None else np.any(self.lidar_finds, axis=0)
+    def _with_lidars(self, confidence: np.ndarray, by_lidar: float) -> np.ndarray:
+        """What cameras find with some confidence [object], as the rig; ``by_lidar``: of what a LiDAR finds alone."""
+        found = np.zeros(len(confidence), bool) if self.lidar_finds is None else np.any(self.lidar_finds, axis=0)
+        alone = np.where(found, by_lidar, confidence)
+        if self.needs_both is None:
+            return alone
+        return np.where(self.needs_both, np.where(found, confidence, -np.inf), alone)
 
     @property
     def images(self) -> list[Observation]:
@@ -271,7 +276,7 @@ class RigObservation:
         """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
         up_to = [each.detected_up_to(iou_min) for each in self.observations]
         best = np.concatenate(up_to).max(axis=0, initial=-np.inf)
-        return np.where(self._by_lidar, _SURELY, best)
+        return self._with_lidars(best, _SURELY)
 
     @property
     def confidence(self) -> np.ndarray:
@@ -400,6 +405,7 @@ class RigObserver:
             self._options.confidence_min,
             np.concatenate(points)[order] if has_lidar else None,
             np.concatenate(finds)[order] if has_lidar else None,
+            self._options.fusion.needs_both(scene.distance_m) if self._options.fusion.is_set else None,
         )
 
 
@@ -489,7 +495,7 @@ def observe_scenes(
             observations.append(observer.observe(assigned.scene))
             probability = observations[-1].detection_probability
             if has_objective and probability is not None:
-                losses.append(objective.value_of(probability, assigned))
+                losses.append(objective.value_of(probability, assigned, rig.is_lidar))
     return SceneObservations(rig, [each.scene for each in scenes], observations, losses)
 
 
@@ -749,4 +755,8 @@ def attainable_objects(
     pose = spread_mount_poses(single.mount, objective.constraints.of_single_cameras, cameras, seed=0)
     pool = CameraPool.empty(packed, single, drawing).extended(pose, may_see_nothing=True)
     is_likely = pool.detection_probability.max(axis=0, initial=0.0) >= 0.5
+    if (triples := single.triples(packed)) is not None:
+        near = objective.options.fusion.needs_both(np.concatenate([scene.distance_m for scene in packed]))
+        by_any, by_camera, by_lidar = is_likely[triples].T
+        is_likely = np.where(near, by_camera & by_lidar, by_any)
     return np.split(is_likely, np.cumsum([scene.vehicle_count for scene in packed])[:-1])

@@ -51,11 +51,11 @@ def _perturb(
 
 def _detected(cameras: SingleCameras, pose: np.ndarray, side: np.ndarray, scene: DeviceScene) -> np.ndarray:
     """What each camera of rigs detects, on its own side, float [..., camera, object]; ``pose`` [..., camera, 7]."""
-    found = np.zeros((*pose.shape[:-1], scene.vehicle_count))
+    found = np.zeros((*pose.shape[:-1], cameras.column_count(scene)))
     for number, of_side in enumerate(cameras.sides):
         own = np.flatnonzero(side == number)
         seen = of_side.detection_probability(pose[..., own, :].reshape(-1, pose.shape[-1]), scene)
-        found[..., own, :] = seen.reshape(*pose.shape[:-2], len(own), scene.vehicle_count)
+        found[..., own, :] = seen.reshape(*pose.shape[:-2], len(own), -1)
     return found
 
 
@@ -66,7 +66,7 @@ class PosedRig:
     names: Sequence[str]  # of its cameras
     mount_pose: np.ndarray  # float [camera, 7]
     cameras: SingleCameras
-    weight: np.ndarray | None = None  # of the objects, scene by scene
+    weight: np.ndarray | None = None  # of the objects or their columns, scene by scene
 
 
 # ---------------------------------------------------------------------------------------------------- lost cameras
@@ -98,18 +98,24 @@ class CameraOutages:
 
     @classmethod
     def of(
-        cls, camera: Sequence[str], detection_probability: np.ndarray, weight: np.ndarray | None = None
+        cls,
+        camera: Sequence[str],
+        detection_probability: np.ndarray,
+        weight: np.ndarray | None = None,
+        alike: np.ndarray | None = None,
     ) -> CameraOutages | None:
         """From what each camera detects.
 
         Args:
-            detection_probability: Of each camera for each object, 0..1, float [camera, object].
+            detection_probability: Of each camera for each object or column of it, 0..1, float [camera, object].
+            weight: Of these.
+            alike: Weights by which all objects count the same; None: 1.
         """
         if detection_probability.shape[1] == 0:
             return None
         share = None if weight is None or not weight.any() else shares_of(weight)
         lost: list[dict[int, Any]] = [{}, *({k: 0.0} for k in range(len(camera)))]
-        plain, *without = (_perturb(detection_probability, each) for each in lost)
+        plain, *without = (_perturb(detection_probability, each, shares_of(alike)) for each in lost)
         if share is None:
             outages = (_CameraOutage(name, rate, rate - plain) for name, rate in zip(camera, without, strict=True))
             return cls(plain, None, tuple(outages))
@@ -280,7 +286,7 @@ def _slopes(
     share: np.ndarray | None,
 ) -> np.ndarray:
     """Derivatives of the expected misses per 100 to every number of every camera of a side, float64 [camera, 7]."""
-    objects = sum(scene.vehicle_count for scene in scenes)
+    objects = sum(map(cameras.column_count, scenes))
     probability, jacobian = np.zeros((len(side), objects)), np.zeros((len(side), objects, mount_pose.shape[1]))
     for number, of_side in enumerate(cameras.sides):
         own = np.flatnonzero(side == number)

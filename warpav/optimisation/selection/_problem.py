@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from warpav.core.errors import ArgumentError, InputError
 
@@ -34,7 +34,7 @@ class SelectionProblem:
     """Single cameras, and the rigs that may be made of them. Its objects are those that some camera sees."""
 
     missed: np.ndarray  # probability that a camera does not detect an object, float64 [object, camera]
-    weight: np.ndarray  # of the objects, float64 [object]
+    weight: np.ndarray  # of the objects, float64 [object]; below 0 of what all sensors miss of those that need both
     unseen: float  # weight of the objects that no camera of the pool sees, 0..1
     seen: np.ndarray  # which of the objects some camera sees, as they were counted at first, int [object]
     every_weight: np.ndarray  # of all objects, those that no camera sees among them, 1 in sum, float64 [every object]
@@ -46,6 +46,7 @@ class SelectionProblem:
     high: np.ndarray  # greatest sums of the rows, likewise, float64 [row]
     row_scale: np.ndarray  # what the rows were divided by, > 0, float64 [row]
     rows: tuple[Row, ...]  # they as they were given
+    both: np.ndarray  # objects as all sensors, as cameras, and as LiDARs miss them, of which both count, int [both, 3]
 
     @classmethod
     def create(
@@ -57,8 +58,9 @@ class SelectionProblem:
         required: Sequence[int] | np.ndarray = (),
         rows: Sequence[Row] = (),
         weight: np.ndarray | None = None,
+        triple: np.ndarray | None = None,
     ) -> SelectionProblem:
-        """What a rig is chosen from. ``conflict`` bool [camera, camera]."""
+        """What a rig is chosen from. ``conflict`` bool [camera, camera]; ``triple`` as of `Fusion`, int [object, 3]."""
         probability = np.asarray(detection_probability, np.float64)
         if probability.ndim != 2 or 0 in probability.shape:
             raise ArgumentError(
@@ -84,8 +86,13 @@ class SelectionProblem:
             raise ArgumentError("required", f"expected different cameras, 0..{cameras - 1}, got {list(required)}")
         if len(fixed) > count:
             raise ArgumentError("required", f"expected at most `count` = {count} cameras, got {len(fixed)}")
-        share = _checked_weight(weight, objects)
+        share = _checked_weight(weight, objects, triple)
         is_seen = probability.any(axis=0)
+        both = np.zeros((0, 3), int) if triple is None else triple[share[triple[:, 0]] < 0.0]
+        if triple is not None:
+            is_seen &= share != 0.0
+            is_seen[both] = is_seen[both[:, 1:]].all(axis=1, keepdims=True)  # nobody finds it where one side is blind
+            both = both[is_seen[both[:, 0]]]
         return cls(
             missed=np.ascontiguousarray(1.0 - probability[:, is_seen].T),
             weight=share[is_seen],
@@ -96,6 +103,7 @@ class SelectionProblem:
             required=fixed,
             conflict=_checked_conflict(conflict, cameras),
             **_checked_rows(rows, cameras),
+            both=np.cumsum(is_seen)[both] - 1,
         )
 
     def under(self, rows: Sequence[Row], **others: Any) -> SelectionProblem:  # noqa: ANN401
@@ -147,6 +155,45 @@ class SelectionProblem:
             coefficient=self.coefficient[:, camera],
         )
 
+    @cached_property
+    def _most_of_side(self) -> list[int]:
+        """How many cameras, and how many LiDARs, a rig has at most."""
+        most = []
+        for column in self.both[:, 1:].T:
+            cost = -(self.missed[column] < 1.0).any(axis=0).astype(float)
+            limits = {"A_ub": np.vstack([self.coefficient, -self.coefficient]), "b_ub": np.append(self.high, -self.low)}
+            limits = {name: value[np.isfinite(limits["b_ub"])] for name, value in limits.items()}
+            found = linprog(cost, A_eq=np.ones((1, len(cost))), b_eq=[self.count], bounds=(0.0, 1.0), **limits)
+            most.append(math.floor(-found.fun + _ROW_TOLERANCE) if found.status == 0 else self.count)
+        return most
+
+    def most_found(self, allowed: np.ndarray, required: np.ndarray) -> np.ndarray:
+        """How surely the cameras, and the LiDARs, of a rig find each object of `both` at most, float64 [both, 2].
+
+        Of rigs of the sensors ``allowed``, all those ``required`` among them, bool [camera].
+        """
+        least, free = np.ones((len(self.both), 2)), np.flatnonzero(allowed & ~required)
+        if not len(least):
+            return least
+        for side, (column, most) in enumerate(zip(self.both[:, 1:].T, self._most_of_side, strict=True)):
+            missed = self.missed[column]
+            is_own = (missed < 1.0).any(axis=0)
+            left = min(max(most - np.count_nonzero(required & is_own), 0), len(free))
+            least[:, side] = np.prod(missed[:, required], axis=1)
+            least[:, side] *= np.prod(np.sort(missed[:, free], axis=1)[:, :left], axis=1)
+        return np.minimum(1.0 - least + 1e-12, 1.0)
+
+    @property
+    def lowest(self) -> float:
+        """No rig is below it: every object is missed as by the cameras that see it best, by a side each of `both`."""
+        best = np.partition(self.missed, self.count - 1, axis=1)[:, : self.count]
+        missed, every = np.prod(best, axis=1), np.ones(self.camera_count, bool)
+        weight = self.weight.copy()
+        weight[self.both[:, 1:]] = 0.0
+        missed[self.both[:, 0]] = 1.0 - np.prod(self.most_found(every, ~every), axis=1)
+        weight[self.both[:, 0]] *= -1.0
+        return self.unseen + float(weight @ missed) * (1.0 - 1e-12)
+
     def miss_rate(self, rig: np.ndarray) -> float:
         """Expected miss rate of a rig, 0..1; its cameras are int [camera]."""
         return self.unseen + float(self.weight @ np.prod(self.missed[:, rig], axis=1))
@@ -165,9 +212,10 @@ class SelectionProblem:
         )
 
 
-def _checked_weight(weight: np.ndarray | None, objects: int) -> np.ndarray:
+def _checked_weight(weight: np.ndarray | None, objects: int, triple: np.ndarray | None) -> np.ndarray:
     share = np.ones(objects) if weight is None else np.asarray(weight, np.float64)
-    if share.shape != (objects,) or not (np.isfinite(share) & (share >= 0.0)).all() or not share.any():
+    is_free = np.zeros(objects, bool) if triple is None else np.isin(np.arange(objects), triple[:, 0])
+    if share.shape != (objects,) or not (np.isfinite(share) & (is_free | (share >= 0.0))).all() or not share.any():
         raise ArgumentError("weight", f"expected [{objects}] finite numbers >= 0, not all 0, got {share}")
     return share / share.sum()
 

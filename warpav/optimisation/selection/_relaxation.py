@@ -16,6 +16,14 @@ At z = 0 it is ``u >= 1 - sum of p``, the submodular cut of the empty rig; for l
 single camera can bring, so it is finite where p = 1. One condition gives the level that a fractional choice violates
 most (`cut_level`), and for a whole rig that cut is tight.
 
+Of an object that a camera and a LiDAR have to find, the miss probability is ``u = 1 - (1 - a)(1 - b)``, with a what all
+cameras miss and b what all LiDARs miss. With p and q the most that cameras and that LiDARs of a rig find of it,
+
+    u >= 1 - q (1 - a)   and   u >= 1 - p (1 - b),
+
+the best such bounds, as the convex hull of a product has it (McCormick 1976); a and b have cuts as above. p and q are
+those of a node, so with its LiDARs chosen the first is exact.
+
 Sources: Nemhauser and Wolsey (1981), Maximizing submodular set functions: formulations and analysis of algorithms, for
 z = 0; Ahmed and Atamtürk (2011), Maximizing a class of submodular utility functions, for the lifting of such cuts where
 the function is a concave one of a sum.
@@ -94,7 +102,7 @@ class Price:
         """How much lower the bound would be with one more camera in the pool, if negative; float64 [camera].
 
         No rig of the pool and one such camera is below ``bound + min(0, reduced cost)``; the camera is taken to be free
-        of conflicts.
+        of conflicts, and to find what a camera and a LiDAR must find no surer than its kind in the pool.
         """
         missed = self._missed(detection_probability)
         with np.errstate(divide="ignore"):
@@ -207,7 +215,9 @@ class Relaxation:
         self._set_options(_SOLVER_OPTIONS)
         objects = problem.object_count
         self._model.addVars(objects, np.zeros(objects), np.full(objects, math.inf))
-        self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), problem.weight)
+        cost = np.abs(problem.weight)
+        cost[problem.both[:, 1:]] = 0.0  # they count by the first of the three, whose variable is u
+        self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), cost)
         self.cameras = np.zeros(0, np.int64)  # of the model's columns behind those of the objects
         self._row = np.vstack([np.ones(problem.camera_count), problem.coefficient])  # the first is the count
         self._low = np.concatenate([[problem.count], problem.low])
@@ -219,6 +229,26 @@ class Relaxation:
         self._idle = np.zeros(0, np.int64)
         self._in_force: set[int] = set()
         self._place_rows(range(len(self._row)))
+        self._found = np.ones((len(problem.both), 2))  # p and q of the node
+        self._links = self._link_rows()
+
+    def _link_rows(self) -> np.ndarray:
+        """Rows of the model that hold u to what cameras miss, and to what LiDARs miss, int [both, 2]."""
+        both, first = self.problem.both, len(self._cut_object)
+        no_camera = self.add_row(np.zeros(self.problem.camera_count), 0.0, 0.0) if len(both) else 0
+        for every, *sides in both:
+            for side in sides:
+                self._model.addRow(0.0, math.inf, 2, np.array([every, side], np.int32), np.array([1.0, -1.0]))
+        self._note_rows(np.full(2 * len(both), -1), np.zeros(2 * len(both)), np.full(2 * len(both), no_camera))
+        return first + np.arange(2 * len(both)).reshape(-1, 2)
+
+    def _set_links(self, node: Node) -> None:
+        found = self.problem.most_found(node.allowed, node.required)
+        for k, side in np.argwhere(found != self._found):
+            of_other, row, column = float(found[k, side]), int(self._links[k, 1 - side]), self.problem.both[k, 2 - side]
+            self._model.changeCoeff(row, int(column), -of_other)
+            self._model.changeRowBounds(row, 1.0 - of_other, math.inf)
+        self._found = found
 
     def add_cameras(self, camera: np.ndarray) -> None:
         """Add columns of cameras, int [added], that the model does not have."""
@@ -282,7 +312,7 @@ class Relaxation:
             fraction[self.cameras] = np.clip(value[self.problem.object_count :], 0.0, 1.0)
             support = np.flatnonzero(fraction > 1e-9)
             level, missed = self.most_violated(fraction, support)
-            relaxed, cost = self._bound(node, dual, fraction, self.problem.unseen + float(self.problem.weight @ missed))
+            relaxed, cost = self._bound(node, dual, fraction, self._missed_by(missed))
             if relaxed.bound >= best.bound or best.price is None:
                 best = relaxed
             else:  # the choice is newer, the duals are better
@@ -293,7 +323,7 @@ class Relaxation:
                 return best
             wanted = np.flatnonzero(node.allowed & ~in_model & (cost < dual[0] - 1e-9))
             wanted = wanted[np.argsort(cost[wanted])[:_MOST_NEW_CAMERAS]]
-            violated = np.flatnonzero(missed - value[: self.problem.object_count] > min(near, 1e-4))
+            violated = np.flatnonzero(self._lacking(missed, value) > min(near, 1e-4))
             if not (len(wanted) or len(violated) or cliques):
                 return best
             if len(wanted):
@@ -354,13 +384,37 @@ class Relaxation:
         least = _cut_constant(level) - fraction[support] @ _cut_coefficient(missed, log_missed, level)
         return level, np.maximum(least, 0.0)
 
+    def _linked(self, missed: np.ndarray) -> np.ndarray:
+        """What links ask of u where sides miss so much, [object]; float64 [both, 2]."""
+        return 1.0 - self._found[:, ::-1] * (1.0 - missed[self.problem.both[:, 1:]])
+
+    def _missed_by(self, missed: np.ndarray) -> float:
+        """The relaxed expected miss rate of what each object is missed with, float64 [object]."""
+        problem, value = self.problem, missed.copy()
+        value[problem.both[:, 0]] = self._linked(missed).max(axis=1, initial=0.0)
+        weight = np.abs(problem.weight)
+        weight[problem.both[:, 1:]] = 0.0
+        return problem.unseen + float(weight @ value)
+
+    def _lacking(self, missed: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """By how much the model's variables violate what they are missed with, both float64 [object]."""
+        both, lacking = self.problem.both, missed - value[: self.problem.object_count]
+        lacking[both[:, 1:]] = self._linked(missed) - value[both[:, :1]]
+        lacking[both[:, 0]] = 0.0
+        return lacking
+
     def _bound(self, node: Node, dual: np.ndarray, fraction: np.ndarray, value: float) -> tuple[Relaxed, np.ndarray]:
         """The Lagrangian bound of duals, and every camera's cost in it, float64 [camera]."""
         problem = self.problem
         cut = np.flatnonzero((self._cut_object >= 0) & (dual > 0.0))
         cut_object, level, cut_dual = self._cut_object[cut], self._cut_level[cut], dual[cut]
         total = np.bincount(cut_object, cut_dual, problem.object_count)
-        cut_dual *= np.minimum(1.0, problem.weight / np.maximum(total, 1e-300))[cut_object]
+        weight, both = problem.weight.copy(), problem.both
+        link_dual = np.maximum(dual[self._links], 0.0)
+        link_dual *= np.minimum(1.0, -weight[both[:, :1]] / np.maximum(link_dual.sum(axis=1, keepdims=True), 1e-300))
+        weight[both[:, 0]] = 0.0
+        weight[both[:, 1:]] = link_dual * self._found[:, ::-1]
+        cut_dual *= np.minimum(1.0, weight / np.maximum(total, 1e-300))[cut_object]
         allowed = np.flatnonzero(node.allowed)
         gain = cut_dual @ self._coefficient(cut_object, allowed, level)
 
@@ -379,6 +433,7 @@ class Relaxation:
         left = problem.count - int(np.count_nonzero(node.required))
         taken = order[:left]
         bound = problem.unseen + float(cut_dual @ _cut_constant(level) + row_dual @ limit)
+        bound += float((link_dual * (1.0 - self._found[:, ::-1])).sum())
         bound += float(cost[node.required].sum() + free[taken].sum()) - ROUNDING
         dearest = free[order[left - 1]] if left else -math.inf
         next_cost = free[order[left]] if left < len(order) else math.inf
@@ -416,6 +471,7 @@ class Relaxation:
         low, high = node.required[self.cameras].astype(float), node.allowed[self.cameras].astype(float)
         self._model.changeColsBounds(len(columns), columns, low, high)
         self._set_branches(node.branch)
+        self._set_links(node)
 
     def _set_branches(self, branch: Mapping[int, tuple[float, float]]) -> None:
         missing = [k for k in branch if k not in self._row_index]

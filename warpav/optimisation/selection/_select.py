@@ -56,9 +56,7 @@ class BranchAndBound:
     ) -> None:
         """Begin with rigs that satisfy the constraints, the required cameras first, int [rig, camera]."""
         self.rig, self.objective = np.sort(rigs[0]), problem.miss_rate(rigs[0])  # the best rig, its miss rate
-        best = np.partition(problem.missed, problem.count - 1, axis=1)[:, : problem.count]  # of every object its own
-        # no rig of the pool is below it
-        self.bound = problem.unseen + float(problem.weight @ np.prod(best, axis=1)) * (1.0 - 1e-12)
+        self.bound = problem.lowest  # no rig of the pool is below it
         self.price: Price | None = None  # duals of the root's bound; None before there is one
         self.nodes = 0  # number of nodes relaxed
         self._problem, self._kept = problem, np.arange(problem.camera_count)
@@ -100,7 +98,8 @@ class BranchAndBound:
         relaxation.add_cameras(np.unique(starts))
         fraction = np.bincount(starts.ravel(), minlength=problem.camera_count) / len(starts)
         level, _ = relaxation.most_violated(fraction, np.flatnonzero(fraction))
-        relaxation.add_cuts(np.arange(problem.object_count), level)
+        cut = np.setdiff1d(np.arange(problem.object_count), problem.both[:, 0])
+        relaxation.add_cuts(cut, level[cut])
         relaxed = relaxation.relax(root, self.objective)
         self.price = relaxed.price
         if relaxed.price is None:
@@ -170,7 +169,7 @@ class _GroupTree:
         member = np.zeros((max(2 * cameras - 1, 1), cameras), bool)
         member[:cameras] = np.eye(cameras, dtype=bool)
         if cameras > 1:
-            seen = np.sqrt(problem.weight)[:, None] * (1.0 - problem.missed)
+            seen = np.sqrt(np.abs(problem.weight))[:, None] * (1.0 - problem.missed)
             square = seen.T @ seen
             length = np.diag(square)
             distance = np.sqrt(np.maximum(length[:, None] + length - 2.0 * square, 0.0))
@@ -345,6 +344,6 @@ def _for_all_objects(price: Price, problem: SelectionProblem) -> Price:
         object_count=len(problem.every_weight),
         cut_object=np.concatenate([problem.seen[price.cut_object], unseen]),
         cut_level=np.concatenate([price.cut_level, np.zeros(len(unseen))]),
-        cut_dual=np.concatenate([price.cut_dual, problem.every_weight[unseen]]),
+        cut_dual=np.concatenate([price.cut_dual, np.maximum(problem.every_weight[unseen], 0.0)]),
         row_dual=price.row_dual / problem.row_scale,
     )

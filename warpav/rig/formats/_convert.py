@@ -344,7 +344,7 @@ def _lenses(file: Path, options: ImportOptions) -> tuple[dict[str, Optics], list
 
 
 def _lidar_module(name: str | None) -> Module | None:
-    modules = {each.name: each for each in builtin_modules().values() if each.beams}
+    modules = {each.name: each for each in builtin_modules().values() if each.beams and not each.beams.radar}
     if name is not None and name not in modules:
         raise ArgumentError("lidar", f"expected one of {', '.join(modules)}, got {name!r}{nearest(name, modules)}")
     return None if name is None else modules[name]

@@ -344,11 +344,14 @@ class RigFormat:
         """The files of cameras, and of the vehicle in the file's frame, for a target, and what is to be in them."""
         assert self.write is not None
         losses.notes += [self.note] if self.note else []
-        for lidar in (each for each in cameras if each.model.beams and self.lidars != "beams"):
+        for lidar in (each for each in cameras if each.model.lens_text == "lidar" and self.lidars != "beams"):
             losses.leave_out(lidar.name, "the beams of a LiDAR (its frame stays)" if self.lidars else "a LiDAR")
-        cameras = [each for each in cameras if self.lidars or not each.model.beams]
+        radars = [each for each in cameras if each.model.beams and each.model.beams.radar]
+        for radar in radars:
+            losses.leave_out(radar.name, "a radar")
+        cameras = [each for each in cameras if (self.lidars or not each.model.beams) and each not in radars]
         if not cameras:
-            raise InputError(f"{self.name}: expected a camera, got LiDARs alone; choose another format")
+            raise InputError(f"{self.name}: expected a camera, got other sensors alone; choose another format")
         is_file = target.suffix.lower() in self.suffixes and not target.is_dir()
         if not self.files:
             if is_file and len(cameras) > 1:
