@@ -1,5 +1,7 @@
 """Placements, results and evaluations as objects: arguments, gradients, oracles, what is written and what is not."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -324,7 +326,12 @@ class Told(NullProgress):
     """Keeps the steps that it is told of; raises once a search has come to a stage."""
 
     def __init__(self, ends_at=None):
-        self.ends_at, self.steps_of = ends_at, []
+        self.ends_at, self.steps_of, self.said = ends_at, [], []
+
+    def say(self, text):
+        self.said.append(text)
+
+    stage = say
 
     def steps(self, description, items, *, count):
         self.steps_of.append(description)
@@ -347,8 +354,12 @@ def test_a_call_that_was_interrupted_goes_on_in_its_folder(tmp_path, scenes):
         placement = wa.Placement(train, config=config, **own, **others)
         return wa.optimise(placement, folder=tmp_path / name, test=test if own else None, progress=progress)
 
+    told = Told("selection")
     with pytest.raises(ZeroDivisionError):
-        optimised("stopped", Told("selection"))
+        optimised("stopped", told)
+    [forecast] = [each for each in told.said if each.startswith("forecast")]
+    assert re.search(r"(about \d+ s|no time) and \d\.\d GB of memory for the search, which draws some \d+", forecast)
+    assert told.said.index(forecast) < told.said.index(next(each for each in told.said if "selecting" in each))
     assert RunFolder.open(tmp_path / "stopped").evaluation() is None
     told = Told()
     found, expected = optimised("stopped", told), optimised("at_once")
