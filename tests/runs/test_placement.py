@@ -169,6 +169,7 @@ def test_a_rig_can_be_the_start_and_cameras_of_it_stay(config, train, result):
         ({"fov_deg": 400}, r"^camera.fov_deg: expected an angle"),
         ({"device": "cuda"}, r"^device: expected cpu or a GPU such as cuda:0, got 'cuda'"),
         ({"detector": "none.onnx"}, r"^detector.model: expected builtin or the path of an ONNX file"),
+        ({"modules": {"fisheye_3mp_19": 1}}, r"^rig.modules: expected modules out of .* did you mean fisheye_3mp_190"),
         ({"rig": {"min_space": 1}}, r"^rig.min_space: expected one of cameras, start.*did you mean rig.min_spacing_m"),
     ],
 )
