@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -171,10 +171,8 @@ def _far(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
     except InputError as error:
         yield Item("Far field", "" if checks.far_m is None else "a limit", f"not known: {error}", "", None, is_hard)
         return
+    limit_m: Mapping[Any, float] = checks.far_m or {}
     range_m = np.minimum(found.range_m(0.9), found.limit_m())[:, 0]
     for category, ahead_m in zip(found.categories, range_m, strict=True):
-        about, limit_m = (
-            f"Far field: {category} found with probability 0.9",
-            (checks.far_m or {}).get(road_user_of(category)),
-        )
-        yield _judged(about, f"{ahead_m:.0f} m ahead", ahead_m, limit_m, " m", is_hard=is_hard)
+        about, limit = f"Far field: {category} found with probability 0.9", limit_m.get(road_user_of(category))
+        yield _judged(about, f"{ahead_m:.0f} m ahead", ahead_m, limit, " m", is_hard=is_hard)

@@ -270,7 +270,7 @@ class Placement:
         given = {name: value for name, value in given.items() if value is not None}
         self.config = base.replace({**given, **scene_options(*scenes, base)})
         rig_modules(self.config)  # that there are such
-        names = (freeze,) if isinstance(freeze := options.get("freeze", ()), str) else tuple(freeze)
+        names = (freeze,) if isinstance(freeze := options.get("freeze") or (), str) else tuple(freeze)
         self.parts = _Parts(
             _checked_start(self.config, start_rig, names),
             names or self.config.rig.freeze,

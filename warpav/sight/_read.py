@@ -193,24 +193,28 @@ class Checks(Form):
     """What ``warpav check`` asks of a rig besides; null: nothing."""
 
     far_m: dict[Literal["vehicle", "pedestrian", "cyclist"], Positive] | None = Field(
-        {"vehicle": 40.0, "pedestrian": 40.0, "cyclist": 40.0},
-        description="least distance ahead at which each road user is found with probability 0.9 [m]; 40: where a car "
-        "from 50 km/h stops, after 1 s and with 4 m/s^2",
+        default={"vehicle": 40.0, "pedestrian": 40.0, "cyclist": 40.0},
+        description="distances [m] of vehicle, pedestrian, cyclist: how far ahead each is found with probability 0.9, "
+        "at least (40: where a car from 50 km/h stops, after 1 s and with 4 m/s^2)",
     )
     traffic_lights: _Share | None = Field(
-        1.0, description="least share of places of a traffic light in an image; 1: it is read from the stop line on"
+        default=1.0,
+        description="a share of the places of a traffic light, at least (1: it is read from the stop line on)",
     )
     redundancy: _Share | None = Field(
-        None, description="least share of the cells near the body in which two cameras see a car; the concept says it"
+        default=None,
+        description="a share of the cells near the body where two cameras see a car, at least (the concept says it)",
     )
     camera_loss: _Share | None = Field(
-        None, description="largest share of the area near the body that is blind without any one camera; likewise"
+        default=None,
+        description="a share of the area near the body that is blind without any one camera, at most (likewise)",
     )
     tolerance: bool = Field(
-        True, description="whether pitching all cameras by 1 degree may break no further rule; mounts are no better"
+        default=True,
+        description="true or false: whether pitching all cameras by 1 degree, as mounts do, may break no more rules",
     )
     hard: list[Literal["far_m", "traffic_lights", "redundancy", "camera_loss", "tolerance"]] = Field(
-        [], description="those of these that must be kept, or the command ends with status 1"
+        default=[], description="names of the other checks: those whose failing ends the command with status 1"
     )
 
 
