@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -171,7 +171,7 @@ def _far(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
     except InputError as error:
         yield Item("Far field", "" if checks.far_m is None else "a limit", f"not known: {error}", "", None, is_hard)
         return
-    limit_m: Mapping[Any, float] = checks.far_m or {}
+    limit_m = {str(kind): each for kind, each in (checks.far_m or {}).items()}
     range_m = np.minimum(found.range_m(0.9), found.limit_m())[:, 0]
     for category, ahead_m in zip(found.categories, range_m, strict=True):
         about, limit = f"Far field: {category} found with probability 0.9", limit_m.get(road_user_of(category))
