@@ -35,3 +35,18 @@ def test_what_is_met_is_said(working_directory, capsys):
 def test_a_picture_that_is_none_is_status_2(working_directory, capsys):
     assert main(["rig", "requirements", "edgar", "--image", "out.jpg"]) == 2
     assert "expected a name that ends in .png" in capsys.readouterr().err
+
+
+def test_what_is_checked_besides_has_limits(working_directory, capsys):
+    (working_directory / "mine.yaml").write_text(
+        "requirements:\n  ahead: {area: {box_m: [[20, -2], [30, 2]]}, grid_m: 2, object: adult}\n"
+        "checks: {redundancy: 1.0, camera_loss: 0.001, far_m: {vehicle: 10}, hard: [redundancy, far_m]}\n",
+        encoding="utf-8",
+    )
+    main(["check", "edgar", "--requirements", "mine.yaml"])
+    said, page = capsys.readouterr().out, (working_directory / "check.html").read_text(encoding="utf-8")
+    assert "FAIL Redundancy: cars by two cameras, up to 20 m: " in said
+    assert "Loss of one camera" not in said  # it fails, but is not hard
+    assert "Far field" not in said
+    assert "at most 0%" in page
+    assert main(["check", "edgar", "--requirements", "near_field", "--out", "none/page.html"]) == 2

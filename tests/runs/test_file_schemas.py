@@ -85,6 +85,7 @@ requirements:
       sector: [10, 20], object: {kind: child, height_m: 1, width_m: 0.2, length_m: 0.2, yaw_deg: 10}}
   c: {area: {box_m: [[0, 0], [1, 1]]}, grid_m: 1, object: adult}
   d: {area: {polygon_m: [[0, 0], [1, 0], [1, 1]]}, grid_m: 1, object: lying}
+checks: {far_m: null, traffic_lights: 0.9, redundancy: 0.5, camera_loss: 0.2, tolerance: false, hard: [redundancy]}
 """,
 }
 UNUSED = {"modules", "mesh", "pattern"}  # keys that name files, and are not in these

@@ -29,3 +29,13 @@ def test_the_near_field_counts_where_it_is_asked_for_alone(requirements, counts)
             assert point.objective == pytest.approx(missed, abs=0.03)  # points that are nearly met count in part
         else:
             assert point.objective == pytest.approx(missed, abs=1e-4)
+
+
+def test_the_question_is_checked_before_scenes_are_loaded(tmp_path):
+    unread = load_config(Config(), ["scenes.source=folder", f"scenes.folder={tmp_path}"], origin=None)
+    for by, message in (
+        ("cost", "rig.modules: expected modules with prices"),
+        ("cameras", "rig.cameras: expected a range"),
+    ):
+        with pytest.raises(wa.InputError, match=message):
+            wa.front(wa.Config.placement(unread), by=by)

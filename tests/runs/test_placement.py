@@ -1,10 +1,15 @@
 """Placements, results and evaluations as objects: arguments, gradients, oracles, what is written and what is not."""
 
+import re
+
 import numpy as np
 import pytest
 
 import warpav as wa
+from tests.cli.small_run import RESUMED_POOL
 from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.core.progress import NullProgress
 from warpav.detection import Detections
 from warpav.rig import write_rig
 from warpav.runs import Optimisation, Placement, RunFolder
@@ -164,6 +169,7 @@ def test_a_rig_can_be_the_start_and_cameras_of_it_stay(config, train, result):
         ({"fov_deg": 400}, r"^camera.fov_deg: expected an angle"),
         ({"device": "cuda"}, r"^device: expected cpu or a GPU such as cuda:0, got 'cuda'"),
         ({"detector": "none.onnx"}, r"^detector.model: expected builtin or the path of an ONNX file"),
+        ({"modules": {"fisheye_3mp_19": 1}}, r"^rig.modules: expected modules out of .* did you mean fisheye_3mp_190"),
         ({"rig": {"min_space": 1}}, r"^rig.min_space: expected one of cameras, start.*did you mean rig.min_spacing_m"),
     ],
 )
@@ -315,3 +321,57 @@ def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(con
     assert "detector.model: expected the ONNX file of the run's detector" in error
     assert "LowerHalf" in error
     assert "rig_best.yaml" in error
+
+
+class Told(NullProgress):
+    """Keeps the steps that it is told of; raises once a search has come to a stage."""
+
+    def __init__(self, ends_at=None):
+        self.ends_at, self.steps_of, self.said = ends_at, [], []
+
+    def say(self, text):
+        self.said.append(text)
+
+    stage = say
+
+    def steps(self, description, items, *, count):
+        self.steps_of.append(description)
+        return super().steps(description, items, count=count)
+
+    def iterations(self, records, *, count, min_spacing_m):
+        for record in records:
+            yield record
+            if record.stage == self.ends_at:
+                raise ZeroDivisionError
+
+
+@pytest.mark.parametrize("scenes", ["embedded", "objects"])
+def test_a_call_that_was_interrupted_goes_on_in_its_folder(tmp_path, scenes):
+    config = wa.Config.load("quick", *RESUMED_POOL)
+    train, test = wa.town([0, 1]), wa.town([1000])
+    own = {} if scenes == "embedded" else {"ego": (ego_vehicle().vertex_m, ego_vehicle().triangle)}
+
+    def optimised(name, progress=None, **others):
+        placement = wa.Placement(train, config=config, **own, **others)
+        return wa.optimise(placement, folder=tmp_path / name, test=test if own else None, progress=progress)
+
+    told = Told("selection")
+    with pytest.raises(ZeroDivisionError):
+        optimised("stopped", told)
+    [forecast] = [each for each in told.said if each.startswith("forecast")]
+    assert re.search(r"(about \d+ s|no time) and \d\.\d GB of memory for the search, which draws some \d+", forecast)
+    assert told.said.index(forecast) < told.said.index(next(each for each in told.said if "selecting" in each))
+    assert RunFolder.open(tmp_path / "stopped").evaluation() is None
+    told = Told()
+    found, expected = optimised("stopped", told), optimised("at_once")
+    assert not [each for each in told.steps_of if "seen by" in each]
+    assert [each.objective for each in (found, expected)] == [found.objective] * 2
+    for role in ("best", "final"):
+        files = [RunFolder.open(tmp_path / name).rig_path(role) for name in ("stopped", "at_once")]
+        assert files[0].read_bytes() == files[1].read_bytes()
+    assert optimised("stopped").records == found.records  # it has ended
+    with pytest.raises(InputError, match=r"^placement \(rig\.cameras\): expected the values of the run"):
+        optimised("stopped", cameras=3)
+    train = wa.town([0, 2])
+    with pytest.raises(InputError, match=r"^(checkpoint: scenes|placement \(scenes\.train_seeds\)): expected"):
+        optimised("stopped")

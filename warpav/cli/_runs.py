@@ -76,7 +76,7 @@ def optimise(
 
         gc.freeze()  # what was imported stays: collections need not look at it again
         if folder is None:
-            folder, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
+            folder, _, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
         else:
             _, run = resume_rig(folder, settings, progress=display)
         (show_everything if verbose else show_run)(display.console, run)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -104,3 +106,18 @@ def gpu_share(count: int) -> int:
 def gpu_processes() -> int:
     """Processes of this program that share a GPU, this one among them."""
     return _share.gpu_processes
+
+
+def peak_bytes() -> int | None:
+    """Peak resident memory of this process so far; None if the system does not report it."""
+    status = Path("/proc/self/status")
+    if status.is_file():  # getrusage includes the parent process there
+        found = re.search(r"VmHWM:\s*(\d+) kB", status.read_text())
+        if found:
+            return int(found[1]) * 2**10
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 2**10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import os
 import sys
@@ -16,6 +17,8 @@ from warpav.core.cores import available_cores
 from warpav.core.errors import InputError, OptionError
 
 _KERNELS = "warpav_kernels"
+_MMAP_THRESHOLD, _LARGE_BYTES = -3, 2**22
+"""Of glibc: blocks from this size go back to the system when they are freed, and leave no holes in the heap."""
 
 
 @cache
@@ -24,6 +27,8 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # there is no glibc
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)
     if os.path.expanduser("~") == "~" and not {"WARP_CACHE_PATH", "XDG_CACHE_HOME"} & os.environ.keys():
         # Warp would make a folder of that name here
         raise InputError(

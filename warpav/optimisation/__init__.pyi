@@ -14,6 +14,7 @@ from warpav.optimisation._constraints import Margin as Margin
 from warpav.optimisation._constraints import ZoneAndSpacing as ZoneAndSpacing
 from warpav.optimisation._constraints import do_not_fit as do_not_fit
 from warpav.optimisation._constraints import min_camera_distance_m as min_camera_distance_m
+from warpav.optimisation._constraints import too_near as too_near
 from warpav.optimisation._further_camera import PLACE_M as PLACE_M
 from warpav.optimisation._further_camera import FurtherCameras as FurtherCameras
 from warpav.optimisation._hand_rigs import by_hand as by_hand
@@ -47,7 +48,6 @@ from warpav.optimisation._pool_run import PoolRun as PoolRun
 from warpav.optimisation._pool_run import workshop_rig as workshop_rig
 from warpav.optimisation._pool_search import PoolSearchSettings as PoolSearchSettings
 from warpav.optimisation._pool_search import PoolTask as PoolTask
-from warpav.optimisation._pool_search import too_near as too_near
 from warpav.optimisation._records import Candidate as Candidate
 from warpav.optimisation._records import IterationRecord as IterationRecord
 from warpav.optimisation._records import NotFiniteError as NotFiniteError

@@ -67,6 +67,8 @@ class CameraJacobians:
             parts.append(views.shown(pose[filled], peopled).first(len(chunk)))
             position_m.append(views.placed.position_ego_m.numpy()[: len(chunk)].copy())
             turn.append(views.placed.camera_from_ego.numpy()[: len(chunk)].copy())
+        if not wp.get_device(self.mount.device).is_cuda:
+            views.renderers = ()  # who keeps renderers may let go of them
         # the last chunk is filled up with copies
         shown = _Shown.joined(parts, axis=0).first(len(pose))
         poses = np.concatenate(position_m)[: len(pose)], np.concatenate(turn)[: len(pose)]
@@ -77,10 +79,12 @@ class CameraJacobians:
         is_cuda = wp.get_device(self.mount.device).is_cuda
         count = 1 << (count - 1).bit_length() if is_cuda else count  # recording takes longer than views too many
         known = self._views.get(count)
-        if known is None or not (is_cuda or known.renderers is self._renderers_for(count)):
+        if known is None:
             if not is_cuda:
                 self._views.clear()
             known = self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
+        elif not is_cuda:
+            known.renderers = self._renderers_for(count)
         return known
 
     def _differentiated(

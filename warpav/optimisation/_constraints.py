@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from scipy import sparse
 
 from warpav.core.errors import OptionError
 from warpav.optimisation._mount import HEIGHT_DELTA_M, X_M, Y_M, FrozenCameras, PlacedViews
@@ -466,3 +467,17 @@ def do_not_fit(where: str, min_spacing_m: float, camera_count: int) -> OptionErr
         f"expected a number that fits on {where} at rig.min_spacing_m={min_spacing_m:g}, got {camera_count}; "
         "lower one of the two",
     )
+
+
+def too_near(mount_pose: np.ndarray, constraints: Constraints, *, absent: int = 0) -> sparse.csr_array:
+    """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may."""
+    from scipy.spatial import KDTree
+
+    place = mount_pose[:, [X_M, Y_M]].astype(np.float64)
+    surface = constraints.surface
+    point_m = surface.point_m(place, surface.height_at_m(place) + mount_pose[:, HEIGHT_DELTA_M])
+    pair = KDTree(point_m).query_pairs(constraints.min_spacing_m, output_type="ndarray")
+    held = 0 if constraints.frozen is None else int(constraints.frozen.is_frozen.sum())
+    pair = pair[pair.max(axis=1, initial=-1) >= held]
+    count = len(mount_pose) + absent
+    return sparse.csr_array((np.ones(len(pair), bool), (pair[:, 0], pair[:, 1])), shape=(count, count))

@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import pickle
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from warpav.core.cores import peak_bytes
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
@@ -35,6 +37,9 @@ _POOL_NAME = "scenes seen by the pool"
 """What progress calls the cameras that are drawn."""
 _HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
+SLOPE_COST = 2.0
+"""Time of a render with slopes over one of a pool, about."""
+_LEARNT_CAMERAS = 4  # that are drawn in each scene before their time tells anything
 _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
 _PAIRS_A_TURN = 3.0
@@ -195,6 +200,10 @@ class CameraPool:
         )
 
     @property
+    def scenes(self) -> tuple[DeviceScene | RequiredPoints, ...]:
+        return self._source.scenes
+
+    @property
     def cameras(self) -> SingleCameras:
         """What drew it, with its renderers and recordings."""
         return self._source.cameras
@@ -227,6 +236,48 @@ class CameraPool:
             cached_count=cached_count,
             is_drawn=is_drawn,
         )
+
+
+class Pace:
+    """How long the camera renders of a search take, which is learnt as they are drawn."""
+
+    def __init__(self) -> None:
+        self.begin(0)
+        self._seconds = 0.0  # that a render takes; 0: nobody knows
+
+    def begin(self, drawn_count: int) -> None:
+        """From now on, with so many renders drawn, time counts."""
+        self._since = time.perf_counter(), drawn_count
+
+    def learn(self, pool: CameraPool, *, cost: float = 1.0) -> None:
+        """Learn from what was drawn since the last time; what follows costs so many times as much."""
+        began, before = self._since
+        if pool.drawn_count - before >= len(pool.scenes):
+            self._seconds = (time.perf_counter() - began) / (pool.drawn_count - before)
+        self._seconds *= cost
+        self.begin(pool.drawn_count)
+
+    def left_text(self, pool: CameraPool, planned: int) -> str:
+        """How long the rest of so many cameras in each scene takes, in words; nothing where nobody knows."""
+        if pool.drawn_count - self._since[1] >= _LEARNT_CAMERAS * len(pool.scenes):
+            self.learn(pool)
+        left = planned * len(pool.scenes) - pool.drawn_count - pool.cached_count
+        return f", about {_duration(left * self._seconds)} left" if left > 0 and self._seconds else ""
+
+    def forecast(self, pool: CameraPool, of_pool: int, later: int, *, with_points: bool) -> str:
+        """How long a search takes that draws so many cameras, and how much memory, in words; its start is drawn."""
+        self.learn(pool)
+        threads, count = pool.cameras.scenes_at_once, len(pool.scenes)
+        seconds = self._seconds * count * (of_pool + SLOPE_COST * later) / threads
+        time_text = f"about {_duration(seconds)}" if seconds else "what is drawn already takes no time"
+        drawing, used = pool.cameras.drawing_bytes(of_pool), peak_bytes()
+        memory = 0 if used is None or not drawing else used + (1 + with_points) * drawing
+        memory_text = f" and {(memory + 16 * of_pool * len(pool.scene_index)) / 1e9:.1f} GB of memory" if memory else ""
+        return f"{time_text}{memory_text} for the search, which draws some {of_pool + later} cameras in {count} scenes"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"
 
 
 _Place = DeviceScene | RequiredPoints | Path

@@ -318,6 +318,7 @@ class PoolRun(PoolSearch):
         self.price = Price(**price) if price else None
         if pool := part_of(state, "pool"):
             self.pool = self.pool.restored(pool, self._progress)
+        self._pace.begin(self.pool.drawn_count)
 
     def _terms(self, found: Found) -> dict[str, float]:
         """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""

@@ -24,16 +24,16 @@ from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import Progress
 from warpav.detection import SUREST, expected_miss_rate, shares_of
 from warpav.optimisation._camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
-from warpav.optimisation._constraints import Constraints
+from warpav.optimisation._constraints import Constraints, too_near
 from warpav.optimisation._hand_rigs import HandRig, by_hand
-from warpav.optimisation._mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation._mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation._mount_errors import MountErrors
 from warpav.optimisation._objective import RigObjective, single_cameras_of
 from warpav.optimisation._polish import Detected, PolishSteps, PolishTask, nearest_rig, polish, step_unit
-from warpav.optimisation._pool import CameraPool, Drawing, spread_mount_poses
+from warpav.optimisation._pool import SLOPE_COST, CameraPool, Drawing, Pace, spread_mount_poses
 from warpav.optimisation._pool_cache import rows_of
 from warpav.optimisation._pool_rules import PoolRules
-from warpav.optimisation._replacements import Replacements, within_half_a_turn
+from warpav.optimisation._replacements import Replacements, apart, within_half_a_turn
 from warpav.optimisation._required_points import RequiredPoints
 from warpav.optimisation._rig_limits import RigLimits
 from warpav.optimisation._single_cameras import MisplacedCameras, SingleCameras, hard_points
@@ -71,6 +71,17 @@ _POLISHED_BY_HAND = 3
 """Rigs by hand that are polished."""
 _SAME = 1e-6  # the polish and the pool round differently
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
+_TOLD = {
+    "select": "selecting",
+    "select_and_polish": "selecting",
+    "polish": "polishing",
+    "price": "pricing",
+    "replaced": "replacing cameras",
+    "nearby": "looking nearby",
+}
+"""What progress calls the stages that take long."""
+_HAND_CAMERAS, _ROUNDED_TIMES = 40, 8
+"""Cameras that rigs by hand draw, and how often each camera of the rig is drawn to be rounded, about."""
 _KEPT = ("pool", "rig", "objective", "bound", "price", "round", "_under", "_row_points")
 """What a search knows between two stages, besides these, places and random numbers."""
 
@@ -214,6 +225,7 @@ class PoolSearch:
         self._progress = progress
         self._row_points = np.zeros(0, int)
         self._began = time.perf_counter()
+        self._pace = Pace()
         self._under: PoolSearchSettings | None = None  # those under which pricing brought nothing more
         self._rng, self._places = np.random.default_rng([seed, 1]), list[np.ndarray]()
         self._todo: list[tuple[Any, ...]] = [("begin",)]
@@ -231,6 +243,8 @@ class PoolSearch:
         while self._todo:
             self._boundary = self.position()
             stage, *given = self._todo.pop(0)
+            if self._progress is not None and stage in _TOLD:
+                self._progress.stage(_TOLD[stage] + self._pace.left_text(self.pool, sum(self._planned())))
             yield from getattr(self, f"_{stage}")(*given) or ()
 
     def position(self) -> dict[str, Any]:
@@ -296,8 +310,13 @@ class PoolSearch:
             if start is None:
                 self.pool = pool.extended(np.concatenate([first, spread]), progress=self._progress)
             else:
+                self._pace.begin(pool.drawn_count)
                 told = {"progress": self._progress, "name": _START_NAME}
                 self.pool = pool.extended(first, may_see_nothing=len(spread) > 0, **told)
+            if self._progress is not None and len(spread):
+                with_points = self.points is not None
+                forecast = self._pace.forecast(self.pool, *self._planned(), with_points=with_points)
+                self._progress.say(f"{'forecast':<12} {forecast}")
         if start is not None:
             if self.rules is None and not self.task.starts_by_hand:  # levels of rules follow from the pool
                 yield from self._offered(start, first)
@@ -312,6 +331,7 @@ class PoolSearch:
         if self.rules is not None:
             self._settle_rules(self.rules)
         by_hand = self._best_by_hand()
+        self._pace.learn(self.pool, cost=SLOPE_COST)
         if start is not None and (self.rules is not None or self.task.starts_by_hand):
             yield from self._offered(start, first)
         self._todo = [("improve", by_hand[:_POLISHED_BY_HAND])]
@@ -411,14 +431,26 @@ class PoolSearch:
         finally:
             setattr(self.rules, name, None)
 
+    def _of_a_round(self, camera_count: int) -> int:
+        """Cameras that a round and the polishes around it draw in each scene, of rigs of so many."""
+        if not self.settings.polishes:
+            return 0
+        polishes = (_FURTHER_POLISH, _LAST_POLISH, *(_FIRST_POLISH,) * (2 + 2 * (OTHERS if self.robust else 0)))
+        return sum(1 + count for count, _ in polishes) * camera_count + _PRICED_STEPS * self.settings.priced_cameras
+
+    def _planned(self) -> tuple[int, int]:
+        """Cameras that the pool draws in each scene, and that are drawn after it, about."""
+        settings, count = self.settings, self.camera_count if self.task.start is None else len(self.task.start)
+        of_pool = count + settings.pool_cameras + _HAND_CAMERAS * self.task.starts_by_hand
+        further = (1 + _FURTHER_POLISH[0]) * count + _PRICED_STEPS * settings.priced_cameras
+        later = self._of_a_round(count) + max(settings.rounds - 1, 0) * further + _ROUNDED_TIMES * count
+        return of_pool, later + settings.refinements * 4 * _NEAR_CAMERAS * count
+
     def _first_share(self, limit: int) -> int:
         """Camera renders that the first pool may take of so many."""
         if not self.settings.polishes:
             return limit
-        polishes = (_FURTHER_POLISH, _LAST_POLISH, *(_FIRST_POLISH,) * (2 + 2 * (OTHERS if self.robust else 0)))
-        steps = sum(1 + count for count, _ in polishes)
-        of_a_round = steps * self.camera_count + _PRICED_STEPS * self.settings.priced_cameras
-        rest = limit - of_a_round * len(self.scenes)
+        rest = limit - self._of_a_round(self.camera_count) * len(self.scenes)
         return int(_POOL_SHARE * limit) if self.settings.refinements else max(int(_POOL_SHARE * limit), rest)
 
     def _improve(self, by_hand: Sequence[list[list[float]]] = ()) -> None:
@@ -660,7 +692,7 @@ class PoolSearch:
         found = np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST)
         cost = price.reduced_cost(found, self._coefficients_for(self.pool.mount_pose))
         mount, unit = self.cameras.mount, step_unit(self.cameras.mount)
-        pose = _apart(self.pool.mount_pose[np.argsort(cost, kind="stable")], count, unit)
+        pose = apart(self.pool.mount_pose[np.argsort(cost, kind="stable")], count, unit)
         length = np.full(len(pose), 0.5)
         lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
         tried = pose
@@ -780,33 +812,6 @@ class _Assembly:
         return self.is_frozen if len(self.is_frozen) else np.zeros(count, bool)
 
 
-def _apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:
-    """The first cameras of some that differ by more than a unit in a number, at most so many, [camera, 7]."""
-    scale = np.where(unit > 0.0, unit, np.inf)
-    chosen = mount_pose[:1]
-    for pose in mount_pose[1:]:
-        if len(chosen) >= count:
-            break
-        difference = within_half_a_turn(chosen - pose)
-        if (np.abs(difference) / scale).max(axis=1).min() > 1.0:
-            chosen = np.concatenate([chosen, pose[None]])
-    return chosen
-
-
 def _with_absent(detection_probability: np.ndarray, absent: int) -> np.ndarray:
     """The cameras of a pool and behind them some that are not there and detect nothing, [camera, object]."""
     return np.pad(detection_probability, ((0, absent), (0, 0))) if absent else detection_probability
-
-
-def too_near(mount_pose: np.ndarray, constraints: Constraints, *, absent: int = 0) -> sparse.csr_array:
-    """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may."""
-    from scipy.spatial import KDTree
-
-    place = mount_pose[:, [X_M, Y_M]].astype(np.float64)
-    surface = constraints.surface
-    point_m = surface.point_m(place, surface.height_at_m(place) + mount_pose[:, HEIGHT_DELTA_M])
-    pair = KDTree(point_m).query_pairs(constraints.min_spacing_m, output_type="ndarray")
-    held = 0 if constraints.frozen is None else int(constraints.frozen.is_frozen.sum())
-    pair = pair[pair.max(axis=1, initial=-1) >= held]
-    count = len(mount_pose) + absent
-    return sparse.csr_array((np.ones(len(pair), bool), (pair[:, 0], pair[:, 1])), shape=(count, count))

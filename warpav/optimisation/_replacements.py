@@ -112,3 +112,16 @@ def within_half_a_turn(difference: np.ndarray) -> np.ndarray:
     result = np.array(difference, np.float64)
     result[..., YAW_RAD] = (result[..., YAW_RAD] + np.pi) % (2.0 * np.pi) - np.pi
     return result
+
+
+def apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:
+    """The first cameras of some that differ by more than a unit in a number, at most so many, [camera, 7]."""
+    scale = np.where(unit > 0.0, unit, np.inf)
+    chosen = mount_pose[:1]
+    for pose in mount_pose[1:]:
+        if len(chosen) >= count:
+            break
+        difference = within_half_a_turn(chosen - pose)
+        if (np.abs(difference) / scale).max(axis=1).min() > 1.0:
+            chosen = np.concatenate([chosen, pose[None]])
+    return chosen

@@ -16,11 +16,10 @@ import numpy as np
 from warpav.core.errors import OptionError, install_text
 from warpav.detection import SUREST
 from warpav.optimisation._budget import BudgetedValue, SingleCameraValues
-from warpav.optimisation._constraints import Constraints
+from warpav.optimisation._constraints import Constraints, too_near
 from warpav.optimisation._mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation._objective import RigObjective, single_cameras_of
 from warpav.optimisation._pool_cache import rows_of
-from warpav.optimisation._pool_search import too_near
 from warpav.optimisation._space import SearchSpace
 from warpav.optimisation.losses._scene_on_tape import AssignedScene
 from warpav.optimisation.selection._problem import SelectionProblem

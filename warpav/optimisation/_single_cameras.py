@@ -28,6 +28,7 @@ from warpav.optimisation.losses._scene_on_tape import CameraProbability, ObjectP
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import (
+    KEPT_BYTES,
     MAX_CHUNK_VIEWS,
     KeptRenderers,
     ViewsAtOnce,
@@ -331,6 +332,21 @@ class SingleCameras:
             device = self.mount.device
             return gpu_view_count(most, camera, supersampling=self.supersampling, device=device, renderers=renderers)
         return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=_CPU_KEY_BYTES), views_max)
+
+    @property
+    def scenes_at_once(self) -> int:
+        """Threads that draw beside each other."""
+        return 1 if self._is_cuda else self.thread_count or available_cores()
+
+    def drawing_bytes(self, count: int) -> int:
+        """Memory of the host that drawing so many cameras takes over what those take that were drawn, about."""
+        views = sum(each.view_count for each in self._renderers.used)
+        if self._is_cuda or not views:
+            return 0
+        most = max(map(self._most_views, range(len(self.mount.cameras))))
+        together = min(count, self.scenes_at_once * most)
+        each = self._renderers.held_bytes / views
+        return int(max(min(each * min(count, together * len(self.mount.cameras)), KEPT_BYTES), each * together))
 
     def _maker(self, module: int) -> _RendererMaker:
         return _RendererMaker(

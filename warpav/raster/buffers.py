@@ -151,6 +151,7 @@ class Buffers:
         self.strip_count = self.zeros(1, wp.int32)
         self.layers = kernels.Layers()
         self.hiding, self.foreground_hiding = kernels.Hiding(), kernels.Hiding()
+        self._has_outlines = False  # whether there is room for their crossings
         self.reserve_samples(0)
         self._state: RenderState | None = None
         self.lanes = (1, 1) if self.device.is_cpu else _CUDA_MEASURE_LANES
@@ -348,21 +349,25 @@ class Buffers:
         )
 
     def reserve_samples(self, sample_count: int) -> None:
-        """Atlas with room for a number of samples, and a quarter more."""
-        room = sample_count + sample_count // 4
-        self.layers.inverse_depth_bits = self.zeros(room, wp.int32)
-        self.layers.crossing_key = self.zeros((4, room), wp.int64)
-        for hiding, size in ((self.hiding, room), (self.foreground_hiding, room if self.has_foreground else 0)):
-            hiding.bits = self.zeros(size, wp.int32)
-            hiding.source = self.zeros(size, wp.int32)
-        self._capacity = room
+        """Atlas with room for a number of samples, and a quarter more; the old one goes first."""
+        for room in (0, sample_count + sample_count // 4):
+            self.layers.inverse_depth_bits = self.zeros(room, wp.int32)
+            self.layers.crossing_key = self.zeros((4, room if self._has_outlines else 0), wp.int64)
+            for hiding, size in ((self.hiding, room), (self.foreground_hiding, room if self.has_foreground else 0)):
+                hiding.bits = self.zeros(size, wp.int32)
+                hiding.source = self.zeros(size, wp.int32)
+            self._capacity = room
         self.generation += 1
 
-    def place_layers(self, scene: Scene, layer_count: int, *, is_whole: bool) -> None:
+    def place_layers(self, scene: Scene, layer_count: int, *, is_whole: bool, has_outlines: bool) -> None:
         """Rectangles and places of the first layers; the atlas grows where it is too small.
 
         The scissors are the whole grids, or with ``is_whole`` False what holds the objects and their surroundings.
+        Crossings of outlines, three quarters of the atlas, have room from the first render on that asks for them.
         """
+        if has_outlines and not self._has_outlines:
+            self._has_outlines = True
+            self.reserve_samples(self._capacity * 4 // 5)
         shape = (self.view_count, layer_count)
         self.layers.rectangle = self.kept("rectangle", shape, wp.vec4i)
         self.layers.offset = self.kept("offset", shape, wp.int32)

@@ -22,7 +22,7 @@ from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
 
-_KEPT_BYTES = 2**29
+KEPT_BYTES = 2**29
 _CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
 _GPU_ROOM = 4
@@ -144,7 +144,7 @@ def render_in_chunks(
 class KeptRenderers:
     """Renderers by what they are asked for; those that were not used for the longest time go first."""
 
-    bytes_max: int = _KEPT_BYTES  # how much all of them may hold. Those of the last call stay even if they hold more
+    bytes_max: int = KEPT_BYTES  # how much all of them may hold. Those of the last call stay even if they hold more
     _kept: dict[Hashable, tuple[Renderer, ...]] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -154,6 +154,11 @@ class KeptRenderers:
     def held_bytes(self) -> int:
         """What the buffers of all of them hold."""
         return sum(each.held_bytes for renderers in self._kept.values() for each in renderers)
+
+    @property
+    def used(self) -> list[Renderer]:
+        """Those that have rendered."""
+        return [each for renderers in self._kept.values() for each in renderers if each.state is not None]
 
     def clear(self) -> None:
         """Let go of all of them."""

@@ -33,7 +33,7 @@ def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusio
         layer_count = scene.layer_count
     has_outlines = content is not Content.COVERAGE
     is_whole = content not in (Content.COVERAGE, Content.MEASURES)
-    buffers.place_layers(scene, layer_count, is_whole=is_whole)
+    buffers.place_layers(scene, layer_count, is_whole=is_whole, has_outlines=has_outlines)
     state = RenderState(scene, content, buffers.layers.rectangle, buffers.layers.offset)
     has_key = content is not Content.OBJECTS
     if has_key:

@@ -317,7 +317,7 @@ class Scene:
     def foreground_mesh(self) -> Mesh:
         """The foreground as a mesh, without the vertices of the others; there has to be one."""
         body = self.layer_body.numpy()[self.foreground_layer]
-        own = self.triangles.triangle.numpy()[self.triangles.triangle_body.numpy() == body]
+        own = self.triangles.triangle.numpy()[(self.triangles.triangle_body.numpy() == body) & self._is_drawn]
         used, triangle = np.unique(own, return_inverse=True)
         vertex_rgb = np.rint(255.0 * self.vertex_rgb.numpy()[used]).astype(np.uint8)
         return Mesh(self.triangles.vertex_world_m.numpy()[used], triangle.reshape(-1, 3).astype(np.int32), vertex_rgb)
@@ -363,25 +363,23 @@ class Scene:
         return Scene.of_arrays(known, device=self.device)
 
     def _without(self, pane: Pane) -> Scene:
-        host = {name: getattr(self.triangles, name).numpy() for name in _OF_TRIANGLES + _OF_CLUSTERS}
+        """The scene whose clusters end where triangles are gone; but for those and neighbours the arrays are shared."""
+        host = {name: getattr(self.triangles, name).numpy() for name in (*_OF_CLUSTERS, "triangle", "triangle_body")}
         body = self.occluder_count - 1  # the foreground is the last occluder
         own = np.flatnonzero(host["triangle_body"] == body)
-        vertex_m = self.triangles.vertex_world_m.numpy()
-        gone = own[pane.is_clear(vertex_m[host["triangle"][own]])]
-        stays = np.ones(len(host["triangle"]), bool)
-        stays[gone] = False
-        number = np.append(np.where(stays, np.cumsum(stays) - 1, -1), -1).astype(np.int32)  # -1 stays -1
+        gone = own[pane.is_clear(self.triangles.vertex_world_m.numpy()[host["triangle"][own]])]
         cluster = np.repeat(np.arange(self.cluster_count), host["cluster_count"])
-        count = np.bincount(cluster[stays], minlength=self.cluster_count).astype(np.int32)
-        arrays = {name: host[name][stays] for name in _OF_TRIANGLES}
-        arrays["neighbour"] = number[arrays["neighbour"]]
-        is_own = np.zeros(self.cluster_count, bool)
-        is_own[cluster[own]] = len(gone) > 0
-        # a hole lets see the backs of what hangs together with it
-        host["cluster_closed_world_m"] = host["cluster_closed_world_m"].copy()
-        host["cluster_closed_world_m"][is_own] = (-np.inf, -np.inf, -np.inf), (np.inf, np.inf, np.inf)
-        host["cluster_count"], host["cluster_first"] = count, np.cumsum(count, dtype=np.int32) - count
-        arrays |= {name: host[name][count > 0] for name in _OF_CLUSTERS}
+        index = np.flatnonzero(self._is_drawn)
+        cluster, index = cluster[~np.isin(index, gone)], np.setdiff1d(index, gone)
+        is_first = np.append(True, (np.diff(index) > 1) | (np.diff(cluster) > 0))[: len(index)]
+        arrays = {name: host[name][cluster[is_first]] for name in _OF_CLUSTERS}
+        arrays["cluster_first"] = index[is_first].astype(np.int32)
+        arrays["cluster_count"] = np.diff(np.append(np.flatnonzero(is_first), len(index))).astype(np.int32)
+        neighbour = arrays["neighbour"] = self.triangles.neighbour.numpy().copy()
+        neighbour[np.isin(neighbour, gone)] = -1
+        if len(gone):  # a hole lets see the backs of what hangs together with it
+            is_own = host["triangle_body"][arrays["cluster_first"]] == body
+            arrays["cluster_closed_world_m"][is_own] = (-np.inf, -np.inf, -np.inf), (np.inf, np.inf, np.inf)
         scene = Scene.__new__(Scene)
         scene.__dict__.update({name: value for name, value in vars(self).items() if name not in _CACHED})
         scene.triangles = Triangles()
@@ -390,25 +388,37 @@ class Scene:
             if name in arrays:
                 array = wp.array(arrays[name], dtype=_TYPES[name], device=self.device)  # pyright: ignore[reportArgumentType]
             setattr(scene.triangles, name, array)
-        scene.cluster_count, scene.triangle_count = len(arrays["cluster_first"]), len(arrays["triangle"])
-        scene._occluder_triangle_count = int(np.searchsorted(arrays["triangle_body"], self.occluder_count))
-        scene.occluder_cluster_count = int(np.searchsorted(arrays["cluster_first"], scene._occluder_triangle_count))
-        scene.source_triangle = self.source_triangle[stays]
+        scene.cluster_count = len(arrays["cluster_first"])
+        scene.occluder_cluster_count = int(np.searchsorted(arrays["cluster_first"], self._occluder_triangle_count))
         return scene
+
+    @property
+    def _solid(self) -> np.ndarray:
+        """Triangles for ray queries: those that are not drawn are points, int32 [triangle, 3]."""
+        return np.where(self._is_drawn[:, None], self.triangles.triangle.numpy(), 0)
+
+    @property
+    def _is_drawn(self) -> np.ndarray:
+        """Which triangles are in a cluster: all but those of a pane that is looked through, bool [triangle]."""
+        first, count = self.triangles.cluster_first.numpy(), self.triangles.cluster_count.numpy()
+        ends = np.zeros(self.triangle_count + 1, np.int64)
+        np.add.at(ends, first, 1)
+        np.add.at(ends, first + count, -1)
+        return np.cumsum(ends)[:-1] > 0
 
     @cached_property
     def mesh(self) -> wp.Mesh:
         """The triangles for ray queries, in their order, grouped by body; built when it is first asked for."""
         return wp.Mesh(
             self.triangles.vertex_world_m,
-            wp.array(self.triangles.triangle.numpy().ravel(), dtype=wp.int32, device=self.device),
+            wp.array(self._solid.ravel(), dtype=wp.int32, device=self.device),
             groups=self.triangles.triangle_body,
         )
 
     @cached_property
     def occluder_mesh(self) -> wp.Mesh:
         """The occluders' triangles, which come first, for ray queries; of at least one occluder."""
-        triangle = self.triangles.triangle.numpy()[: self._occluder_triangle_count]
+        triangle = self._solid[: self._occluder_triangle_count]
         return wp.Mesh(self.triangles.vertex_world_m, wp.array(triangle.ravel(), dtype=wp.int32, device=self.device))
 
 

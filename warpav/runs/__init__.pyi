@@ -30,6 +30,7 @@ from warpav.runs._inspect import write_inspector_page as write_inspector_page
 from warpav.runs._inspect import write_mount_drawing as write_mount_drawing
 from warpav.runs._jobs import compare_rigs as compare_rigs
 from warpav.runs._jobs import measure_rig as measure_rig
+from warpav.runs._jobs import optimise as optimise
 from warpav.runs._jobs import optimise_rig as optimise_rig
 from warpav.runs._jobs import posed_otherwise as posed_otherwise
 from warpav.runs._jobs import resume as resume
@@ -44,7 +45,6 @@ from warpav.runs._networks import load_networks as load_networks
 from warpav.runs._networks import networks_in as networks_in
 from warpav.runs._networks import read_detector as read_detector
 from warpav.runs._optimise import Optimisation as Optimisation
-from warpav.runs._optimise import optimise as optimise
 from warpav.runs._optimise import pool_search_settings as pool_search_settings
 from warpav.runs._optimise import rig_by_hand as rig_by_hand
 from warpav.runs._optimise import searches_by_pool as searches_by_pool

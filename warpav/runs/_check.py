@@ -21,13 +21,16 @@ from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
 from warpav.runs.report._statements import RULES
 from warpav.runs.report.report import write_check
+from warpav.scene import road_user_of
 from warpav.sight import (
     Body,
+    Checks,
     RequirementResult,
     RuleCheck,
     SectorCounts,
     check_requirements,
     level_ground,
+    read_checks,
     read_requirements,
     sight,
 )
@@ -60,13 +63,13 @@ def check_rig_page(source: str, config: Config, *, requirements: str, out: Path)
         raise ArgumentError("out", f"expected a page to write, such as check.html, got {str(out)!r}")
     if not out.absolute().parent.is_dir():
         raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
-    wanted = read_requirements(requirements)
+    wanted, checks = read_requirements(requirements), read_checks(requirements)
     check_rig_source(source)
     ego, device = first_scene(config).ego, checked_device(config.device)
     rig = find_rig(source, config, ego)
     met = check_requirements(rig, ego, wanted, supersampling=config.camera.supersampling, device=device)
-    items = [*_required(met), *_ruled(rig, ego, config, device), *_seen(rig, ego, device), *_far(rig, ego, device)]
-    items += _tolerated(rig, ego, config, device)
+    items = [*_required(met), *_ruled(rig, ego, config, device), *_seen(rig, ego, checks, device)]
+    items += [*_far(rig, ego, checks, device), _tolerated(rig, ego, config, checks, device)]
     figures = {
         kind: io.BytesIO(figure_bytes(drawing_of(rig, Canvas(off_screen=True), kind=kind, ego=ego), ".png"))
         for kind in ("ground", "near_field", "redundancy", "plan")
@@ -112,7 +115,19 @@ def _heading(rule: str) -> str:
     return name[0].upper() + name[1:]
 
 
-def _tolerated(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
+def _judged(
+    about: str, found: str, value: float, limit: float | None, unit: str, *, is_hard: bool, is_least: bool = True
+) -> Item:
+    """What has a limit of a number; None: it is shown alone."""
+    if limit is None:
+        return Item(about, "", found, "", None, is_hard)
+    slack = (value - limit) * (1.0 if is_least else -1.0)
+    factor = 100.0 if unit == "%" else 1.0
+    asked = f"at {'least' if is_least else 'most'} {factor * limit:.0f}{unit}"
+    return Item(about, asked, found, f"{factor * slack:+.0f}{unit}", slack >= 0.0, is_hard)
+
+
+def _tolerated(rig: Rig, ego: Mesh, config: Config, checks: Checks, device: str) -> Item:
     """The rules that all cameras pitched up or down would break besides."""
 
     def broken(pitch_deg: float) -> set[str]:
@@ -122,37 +137,42 @@ def _tolerated(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Ite
 
     further = (broken(_TOLERANCE_DEG) | broken(-_TOLERANCE_DEG)) - broken(0.0)
     text = "; ".join(_heading(each) for each in RULES if each in further) or "no further rule breaks"
-    yield Item(f"Tolerance: all cameras pitched by ±{_TOLERANCE_DEG:g}°", "", text, "", None, False)
+    about, is_hard = f"Tolerance: all cameras pitched by ±{_TOLERANCE_DEG:g}°", "tolerance" in checks.hard
+    if not checks.tolerance:
+        return Item(about, "", text, "", None, is_hard)
+    return Item(about, "no further rule breaks", text, f"{-len(further)} rules", not further, is_hard)
 
 
-def _seen(rig: Rig, ego: Mesh, device: str) -> Iterator[Item]:
+def _seen(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
     """Traffic lights, redundancy, and the loss of the camera that costs most."""
     front_m = float(np.asarray(ego.bounds_m())[1, 0])
     light_m = _LIGHT_M + np.array([front_m, Body.of(ego).centre_m[1], 0.0])
     share = float(sight(rig, light_m, level_ground(ego, device=device)).seen.any(axis=0).mean())
-    yield Item("Traffic lights 5 m high, 15 to 60 m ahead", "", f"{100.0 * share:.0f}% in an image", "", None, False)
+    about, found = "Traffic lights 5 m high, 15 to 60 m ahead", f"{100.0 * share:.0f}% in an image"
+    yield _judged(about, found, share, checks.traffic_lights, "%", is_hard="traffic_lights" in checks.hard)
     counts = SectorCounts.of(rig, ego, edges_m=_NEAR_EDGES_M, device=device)
-    open_ = counts.count >= 0
-    twice = float((counts.count >= 2)[open_].mean())
-    reach = f"{counts.edges_m[-1]:g} m"
-    yield Item(f"Redundancy: cars by two cameras, up to {reach}", "", f"{100.0 * twice:.0f}% of cells", "", None, False)
+    twice = float((counts.count >= 2)[counts.count >= 0].mean())
+    about, found = f"Redundancy: cars by two cameras, up to {counts.edges_m[-1]:g} m", f"{100.0 * twice:.0f}% of cells"
+    yield _judged(about, found, twice, checks.redundancy, "%", is_hard="redundancy" in checks.hard)
     k = counts.costliest
     lost, whole = counts.blind_share(counts.without(k)), counts.blind_share(counts.count)
-    text = f"{100.0 * lost:.0f}% of the area blind, not {100.0 * whole:.0f}%"
-    yield Item(f"Loss of one camera, at worst {counts.camera[k]}", "", text, "", None, False)
+    about = f"Loss of one camera, at worst {counts.camera[k]}"
+    found, is_hard = f"{100.0 * lost:.0f}% of the area blind, not {100.0 * whole:.0f}%", "camera_loss" in checks.hard
+    yield _judged(about, found, lost, checks.camera_loss, "%", is_hard=is_hard, is_least=False)
 
 
-def _far(rig: Rig, ego: Mesh, device: str) -> Iterator[Item]:
+def _far(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
     """How far ahead the cameras find road users of each class."""
-    cameras = [each for each in rig.cameras if each.model.beams is None]
+    cameras, is_hard = [each for each in rig.cameras if each.model.beams is None], "far_m" in checks.hard
     try:
         if not cameras:
             raise InputError("the rig has LiDARs alone")
         found = DetectionRange.of(Rig(cameras), ego, azimuth_count=8, device=device)
     except InputError as error:
-        yield Item("Far field", "", f"not known: {error}", "", None, False)
+        yield Item("Far field", "" if checks.far_m is None else "a limit", f"not known: {error}", "", None, is_hard)
         return
-    limit_m, range_m = found.limit_m(), found.range_m(0.9)
-    for row, category in enumerate(found.categories):
-        text = f"{min(range_m[row, 0], limit_m[row, 0]):.0f} m ahead"
-        yield Item(f"Far field: {category} found with probability 0.9", "", text, "", None, False)
+    limit_m = {str(kind): each for kind, each in (checks.far_m or {}).items()}
+    range_m = np.minimum(found.range_m(0.9), found.limit_m())[:, 0]
+    for category, ahead_m in zip(found.categories, range_m, strict=True):
+        about, limit = f"Far field: {category} found with probability 0.9", limit_m.get(road_user_of(category))
+        yield _judged(about, f"{ahead_m:.0f} m ahead", ahead_m, limit, " m", is_hard=is_hard)

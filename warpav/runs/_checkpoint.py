@@ -14,7 +14,7 @@ from warpav.core.errors import InputError
 from warpav.optimisation import single_cameras_of
 from warpav.runs._networks import model_path
 from warpav.runs._placement import Placement
-from warpav.runs.config import Config, option_values
+from warpav.runs.config import KEPT_FILES, Config, option_values, with_absolute_paths
 
 _MAY_CHANGE = (
     "run.iterations",
@@ -42,6 +42,8 @@ _FILES = (
 """Options that name files, which may lie elsewhere now: what they hold counts, see `identity_of`."""
 _MEANING = {
     "scenes": "the scenes of the run, got others",
+    "start": "the rig that the run starts from, got another",
+    "objective": "the losses and requirements of the run, got others",
     "vehicle": "the vehicle of the run, got another",
     "cameras": "the cameras of the run, got others",
     "detector": "the detector of the run, got another",
@@ -49,19 +51,22 @@ _MEANING = {
 }
 
 
-def check_options(before: Config, after: Config) -> None:
-    """Make sure that a run can go on with a configuration."""
-    known, given = option_values(before), option_values(after)
+def check_options(before: Config, after: Config, *, of: Placement | None = None) -> None:
+    """Make sure that a run can go on with a configuration; that of a placement has objects beside it."""
+    known, given = option_values(before), option_values(with_absolute_paths(after))
+    free, where = (*_MAY_CHANGE, *_FILES), "command line"
+    if of is not None:  # what these mean is compared by `check_identity`
+        free, where = (*free, *KEPT_FILES, "run.out", "rig.freeze", *["scenes"] * of.parts.has_own_scenes), "placement"
     differ = [
         name
         for name, value in given.items()
-        if value != known[name]
-        and not any(name == each or name.startswith(f"{each}.") for each in (*_MAY_CHANGE, *_FILES))
+        if value != known[name] and not any(name == each or name.startswith(f"{each}.") for each in free)
     ]
     if differ:
         raise InputError(
-            f"command line ({', '.join(differ)}): expected the values of the run, as others change what has been "
+            f"{where} ({', '.join(differ)}): expected the values of the run, as others change what has been "
             f"computed; may change: {', '.join(_MAY_CHANGE)}, and where files lie"
+            + (f"; {before.run.out} holds the run, choose another folder" if of is not None else "")
         )
 
 
@@ -71,9 +76,14 @@ def identity_of(placement: Placement) -> dict[str, str]:
     surface, single = mount.surface, single_cameras_of(objective)
     single_identity = {} if single is None else single.identity
     frozen = b"" if mount.frozen is None else mount.frozen.mount_pose.tobytes()
-    own = placement.own_detector
+    own, start = placement.own_detector, placement.start_rig
+    losses = [(weight, loss.name) for weight, loss in objective.losses]
     return {
         "scenes": digest(*(each.scene.fingerprint for each in placement.search_scenes)),
+        "start": digest(
+            *(np.round(each.ego_from_camera, 6) + 0.0 for each in ([] if start is None else start.cameras))
+        ),
+        "objective": digest(losses, placement.requirements),
         "vehicle": digest(
             np.asarray(surface.origin_m, np.float64).tobytes(),
             float(surface.cell_m),

@@ -160,6 +160,11 @@ def front(
     if placement.parts.freeze:
         names = ", ".join(placement.parts.freeze)
         raise OptionError("rig.freeze", f"expected none, as the rigs have different numbers of cameras, got {names}")
+    if by == "cameras" and least == most:
+        raise OptionError("rig.cameras", f"expected a range, such as 2..8, got {most}")
+    if by == "cost" and placement.config.rig.modules is None:
+        raise OptionError("rig.modules", "expected modules with prices for a front by cost, got equal cameras")
+    check_one_unit(rig_modules(placement.config) if by == "cost" else ())
     robust = placement.config.robust
     if robust.asked_for is not None:
         text = "expected null, as the rigs of a front are compared by their expected misses"
@@ -197,8 +202,6 @@ _Step = tuple[str, int, RigLimits | None]
 
 def _by_number(placement: Placement, least: int, most: int) -> list[_Step]:
     limits = placement.limits
-    if least == most:
-        raise OptionError("rig.cameras", f"expected a range, such as 2..8, got {most}")
     return [
         (
             f"{count}_camera{'' if count == 1 else 's'}",
@@ -211,9 +214,7 @@ def _by_number(placement: Placement, least: int, most: int) -> list[_Step]:
 
 def _by_cost(placement: Placement) -> list[_Step]:
     limits = placement.limits
-    if limits is None:
-        raise OptionError("rig.modules", "expected modules with prices for a front by cost, got equal cameras")
-    check_one_unit(rig_modules(placement.config))
+    assert limits is not None, "there are modules"
     low, high = limits.cost_range()
     if not high > low:
         raise OptionError("rig.modules", f"expected modules to choose from, got one rig alone, of cost {low:g}")

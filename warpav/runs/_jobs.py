@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from warpav.core.cache import user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
@@ -21,29 +23,99 @@ from warpav.runs._mounts import preset_for
 from warpav.runs._optimise import Optimisation, kept_drawing
 from warpav.runs._placement import Placement
 from warpav.runs._progress import shown_progress
-from warpav.runs._result import Result, StageTimer, complete_folder
+from warpav.runs._result import Result, StageTimer, check_test, complete_folder
 from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs._run_figures import comparison_figures
 from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs._scene_set import load_scenes
-from warpav.runs.config import Config, flow_text, placed_config
+from warpav.runs.config import Config, flow_text, placed_config, with_absolute_paths
 from warpav.runs.report._content import RunContent, read_content, read_evaluation
 from warpav.runs.report.report import write_comparison
 from warpav.runs.robustness import load_states_of, soiling_of
+
+if TYPE_CHECKING:
+    from warpav.scene import Scene
 
 _CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""
 
 
-def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, RunContent]:
-    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder."""
+def optimise(
+    placement: Placement,
+    *,
+    folder: str | Path | None = None,
+    test: Sequence[Scene] | None = None,
+    progress: bool | Progress | None = None,
+    iterations: int | None = None,
+    seed: int | None = None,
+) -> Result:
+    """Move the cameras of a rig until the detector is expected to miss fewer road users.
+
+    Gradients of the objective flow to the poses of the cameras through the boundaries of what they see.
+
+    Args:
+        placement: Which cameras, in which traffic, for which detector.
+        folder: Run folder, written step by step as ``warpav optimise run.out=...`` writes it. The same call goes on
+            where a process that wrote it was stopped or killed; one that has ended stays as it is. None: nothing is
+            written.
+        test: Scenes that the result of ``folder`` is compared on, as of `Result.save`.
+        progress: True: a bar in a terminal, lines elsewhere; an object receives what happens; None or False: nothing.
+        iterations: Steps of a descent, states of a search by a pool at most; None: ``run.iterations`` of the
+            placement's configuration.
+        seed: Of every random choice; None: ``run.seed``.
+
+    Raises:
+        InputError: The input is wrong: the cameras do not fit on the vehicle, the loss is no longer finite, or
+            ``folder`` holds the run of something else, or cannot be written.
+        TypeError: ``placement`` is no placement.
+    """
+    if not isinstance(placement, Placement):
+        raise TypeError(f"placement: expected a Placement, got {type(placement).__name__}")
+    changes: dict[str, object] = {} if folder is None else {"run.out": str(Path(folder).expanduser())}
+    for name, option, value in (("iterations", "run.iterations", iterations), ("seed", "run.seed", seed)):
+        if value is not None:
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+                raise TypeError(f"{name}: expected a whole number, got {value!r}")
+            if value < (name == "iterations"):
+                raise ArgumentError(name, f"expected at least {int(name == 'iterations')}, got {value}")
+            changes[option] = int(value)
+    if changes:
+        placement = placement.with_config(placement.config.replace(changes))
+    if folder is not None:
+        check_test(placement, test)
+    elif test is not None:
+        raise ArgumentError("test", "expected none without a folder, which would hold the comparison")
+    out = placement.config.run.out if folder is not None else None
+    with shown_progress(progress) as shown:
+        if out is None:
+            placement.prepare(shown)
+            optimisation = Optimisation.begin(placement, progress=shown)
+            optimisation.run(progress=shown)
+            return optimisation.result()
+        if (out / "config.yaml").is_file():
+            return resume_rig(RunFolder.open(out), placement.config, of=placement, test=test, progress=shown)[0]
+        return optimise_rig(placement.config, name=out.name, of=placement, test=test, progress=shown)[1]
+
+
+def optimise_rig(
+    config: Config,
+    *,
+    name: str,
+    progress: Progress,
+    of: Placement | None = None,
+    test: Sequence[Scene] | None = None,
+) -> tuple[RunFolder, Result, RunContent]:
+    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
+
+    ``of`` is the placement of the configuration where it has objects, and ``test`` scenes to compare on, else its own.
+    """
     from warpav.sight import coverage  # noqa: F401 (so that its kernel is compiled beside the others)
 
     timer = StageTimer()
     with contextlib.ExitStack() as held:
         held.enter_context(new_run_folder(config))
-        placement = Placement.from_config(config).prepare(progress)
+        placement = (of or Placement.from_config(config)).prepare(progress)
         timer.end("scenes and detector")
         optimisation = Optimisation.begin(placement, drawing=_drawing(config), progress=progress)
         timer.end("searching for a start")
@@ -52,34 +124,45 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
             name=name,
             device=device_name(config.device),
             start=placement.start_rig,
-            freeze=config.rig.freeze,
+            freeze=placement.parts.freeze,
+            own_detector=placement.own_detector,
             hashes=optimisation.identity,
         )
         if config.run.out is None:
             held.enter_context(held_run(folder))
         progress.say(f"{'run folder':<12} {folder.path}")
-        _, run = _run_to_the_end(folder, optimisation, timer, progress)
-    return folder, run
+        return folder, *_run_to_the_end(folder, optimisation, test, timer, progress)
 
 
-def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tuple[Result, RunContent]:
-    """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder."""
+def resume_rig(
+    folder: RunFolder,
+    config: Config,
+    *,
+    progress: Progress,
+    of: Placement | None = None,
+    test: Sequence[Scene] | None = None,
+) -> tuple[Result, RunContent]:
+    """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder.
+
+    ``of`` and ``test`` as of `optimise_rig`.
+    """
     from warpav.sight import coverage  # noqa: F401 (as in `optimise_rig`)
 
     timer = StageTimer()
     with held_run(folder):
-        check_options(folder.config(), config)
+        check_options(folder.config(), config, of=of)
         state = folder.checkpoint()
         done = 0 if state is None or "iteration" not in state else int(state["iteration"])
         if config.run.iterations < done:
             raise OptionError("run.iterations", f"expected at least the {done} of the run, got {config.run.iterations}")
-        if own := folder.environment().get("own_detector"):
+        own = folder.environment().get("own_detector")
+        if own and (of is None or of.own_detector != own):
             raise InputError(
                 f"{folder.path}: run folder: expected one of a detector that is a file, got one of an object of class "
                 f"{own}; optimise again, with the rig as `start`"
             )
         folder.remove_drafts()
-        placement = Placement.from_config(config).prepare(progress)
+        placement = (of or Placement.from_config(config)).prepare(progress)
         timer.end("scenes and detector")
         drawing = _drawing(config)
         events = folder.first_events(done)
@@ -97,9 +180,9 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         # from here on the folder is written to
         folder.replace_events(events)
         folder.remove_evaluation()
-        folder.write_config(config, freeze=config.rig.freeze)
+        folder.write_config(with_absolute_paths(config), freeze=placement.parts.freeze)
         folder.note_resumed(done)
-        return _run_to_the_end(folder, optimisation, timer, progress)
+        return _run_to_the_end(folder, optimisation, test, timer, progress)
 
 
 def resume(
@@ -130,16 +213,19 @@ def resume(
 
 
 def _run_to_the_end(
-    folder: RunFolder, optimisation: Optimisation, timer: StageTimer, progress: Progress
+    folder: RunFolder,
+    optimisation: Optimisation,
+    test: Sequence[Scene] | None,
+    timer: StageTimer,
+    progress: Progress,
 ) -> tuple[Result, RunContent]:
     """Take the steps that are left, compare, and complete the folder."""
-    placement = optimisation.placement
     write_rig(optimisation.start, folder.rig_path("initial"))
     with _kept_when_stopped(folder, optimisation, progress):
         optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
         result = optimisation.result()
         timer.end("descent")
-        return result, complete_folder(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
+        return result, complete_folder(folder, result, test, timer=timer, progress=progress)
 
 
 @contextlib.contextmanager

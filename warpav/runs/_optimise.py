@@ -34,54 +34,12 @@ from warpav.optimisation import (
 from warpav.rig import HAND_RIGS, Rig
 from warpav.runs._checkpoint import check_identity, identity_of
 from warpav.runs._placement import Placement, Stream
-from warpav.runs._progress import shown_progress
 from warpav.runs._result import Result
 from warpav.runs._rig_source import find_rig, start_changes
 from warpav.runs.config import BY_HAND, Config
 
 if TYPE_CHECKING:
     from warpav.thesis import Descent
-
-
-def optimise(
-    placement: Placement,
-    *,
-    progress: bool | Progress | None = None,
-    iterations: int | None = None,
-    seed: int | None = None,
-) -> Result:
-    """Move the cameras of a rig until the detector is expected to miss fewer road users. Nothing is written.
-
-    Gradients of the objective flow to the poses of the cameras through the boundaries of what they see.
-
-    Args:
-        placement: Which cameras, in which traffic, for which detector.
-        progress: True: a bar in a terminal, lines elsewhere; an object receives what happens; None or False: nothing.
-        iterations: Steps of a descent, states of a search by a pool at most; None: ``run.iterations`` of the
-            placement's configuration.
-        seed: Of every random choice; None: ``run.seed``.
-
-    Raises:
-        InputError: The input is wrong: the cameras do not fit on the vehicle, or the loss is no longer finite.
-        TypeError: ``placement`` is no placement.
-    """
-    if not isinstance(placement, Placement):
-        raise TypeError(f"placement: expected a Placement, got {type(placement).__name__}")
-    changes: dict[str, object] = {}
-    for name, option, value in (("iterations", "run.iterations", iterations), ("seed", "run.seed", seed)):
-        if value is not None:
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-                raise TypeError(f"{name}: expected a whole number, got {value!r}")
-            if value < (name == "iterations"):
-                raise ArgumentError(name, f"expected at least {int(name == 'iterations')}, got {value}")
-            changes[option] = int(value)
-    if changes:
-        placement = placement.with_config(placement.config.replace(changes))
-    with shown_progress(progress) as shown:
-        placement.prepare(shown)
-        optimisation = Optimisation.begin(placement, progress=shown)
-        optimisation.run(progress=shown)
-        return optimisation.result()
 
 
 def rig_by_hand(name: str, placement: Placement, *, angle_deg: float | None = None) -> Rig:

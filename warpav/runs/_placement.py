@@ -60,6 +60,7 @@ from warpav.runs._mounts import (
     made_symmetric,
     objective_options,
     rig_limits,
+    rig_modules,
 )
 from warpav.runs._networks import Networks, load_networks
 from warpav.runs._rig_source import read_baselines, read_start, with_added_cameras
@@ -249,9 +250,8 @@ class Placement:
                 "detector: expected the path of an ONNX file, 'builtin' or an object with detect(images_rgb) and "
                 f"names, got {type(own_detector).__name__}"
             )
-        ego, losses, requirements = (options.get(name) for name in ("ego", "losses", "requirements"))
+        ego, losses, requirements, modules = map(options.get, ("ego", "losses", "requirements", "modules"))
         start_rig = start if isinstance(start, Rig) else None
-        modules = options.get("modules")
         if cameras is None and start_rig is not None and modules is None:
             cameras = len(start_rig.cameras)
         base = Config() if config is None else config
@@ -274,8 +274,8 @@ class Placement:
         }
         given = {name: value for name, value in given.items() if value is not None}
         self.config = base.replace({**given, **scene_options(*scenes, base)})
-        freeze = options.get("freeze", ())
-        names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
+        rig_modules(self.config)  # that there are such
+        names = (freeze,) if isinstance(freeze := options.get("freeze") or (), str) else tuple(freeze)
         self.parts = _Parts(
             _checked_start(self.config, start_rig, names),
             names or self.config.rig.freeze,

@@ -92,7 +92,8 @@ class RunDisplay:
         for number, item in enumerate(items, start=1):
             self._advance(number, (time.perf_counter() - began) / number)
             if self._is_told and number % every == 0 and number < count:
-                self.say(f"{description}: {number}/{count}")
+                left_s = (time.perf_counter() - began) / number * (count - number)
+                self.say(f"{description}: {number}/{count}  {left_s:.0f} s left")
             yield item
 
     def iterations(self, records: Iterable[_Record], *, count: int | None, min_spacing_m: float) -> Iterator[_Record]:
@@ -135,7 +136,8 @@ class RunDisplay:
         try:
             for number, record in enumerate(records, start=1):
                 rows = iteration_rows(record, min_spacing_m=min_spacing_m)
-                self._replace_task("searching", None, completed=number)
+                if self._task is not None:  # what the search has said that it does
+                    self._bar.update(self._task, completed=number, total=None)
                 if last and rows["done"] != last["done"]:
                     tell(last)
                 last, self._numbers = rows, _grid(rows)

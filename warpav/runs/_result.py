@@ -40,7 +40,7 @@ from warpav.runs._rig_evaluation import GroundTable, Robust, SearchEnd, Simpler,
 from warpav.runs._rig_source import read_baselines
 from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import load_scenes
-from warpav.runs.config import BY_HAND, Config
+from warpav.runs.config import BY_HAND, Config, with_absolute_paths
 from warpav.runs.robustness import tolerance_on
 from warpav.scene import Scene, scene_path, write_scene
 from warpav.view import plot
@@ -258,7 +258,7 @@ class Result:
         """
         timer = StageTimer()
         placement = self.placement
-        self._check_test(test)
+        check_test(placement, test)
         path = Path(folder).expanduser()
         config = placement.config.replace({"run.out": str(path)})
         with shown_progress(progress) as shown:
@@ -274,20 +274,8 @@ class Result:
             write_rig(self.start, written.rig_path("initial"))
             for record in self.records:
                 written.append_event(record)
-            if test is None and placement.test:
-                scenes = placement.test
-                first = placement.shown
-            else:
-                given = list(load_scenes(config, "test") if test is None else test)
-                scenes, first = placement.observed(given, progress=shown), given[0]
-                if test is not None:
-                    written.write_config(_with_scenes(config, placement, given, written), freeze=placement.parts.freeze)
-            complete_folder(written, self, scenes, first, timer=timer, progress=shown)
+            complete_folder(written, self, test, timer=timer, progress=shown)
         return written.path
-
-    def _check_test(self, test: Sequence[Scene] | None) -> None:
-        if test is None and self.placement.parts.has_own_scenes:
-            raise ArgumentError("test", "expected scenes to compare rigs on, as the placement's are objects, got none")
 
     def why(self, test: Sequence[Scene] | None = None) -> str:
         """What the rig that was found sees that its start, the best rig by hand, does not, and what it loses; in words.
@@ -301,7 +289,7 @@ class Result:
         from warpav.runs.report._content import RunContent
         from warpav.runs.report._statements import why
 
-        self._check_test(test)
+        check_test(self.placement, test)
         config, rigs = self.placement.config, {OPTIMISED: self.found, self.start_name: self.start}
         evaluation = evaluate(rigs, list(load_scenes(config, "test") if test is None else test), self.placement)
         said = why(RunContent(config=config, start=self.start, result=self.found), evaluation)
@@ -343,6 +331,12 @@ class Result:
 draws_runs(Result)
 
 
+def check_test(placement: Placement, test: Sequence[Scene] | None) -> None:
+    """Make sure that there are scenes to compare rigs on."""
+    if test is None and placement.parts.has_own_scenes:
+        raise ArgumentError("test", "expected scenes to compare rigs on, as the placement's are objects, got none")
+
+
 class StageTimer:
     def __init__(self) -> None:
         self._began = self._last = time.perf_counter()
@@ -363,19 +357,27 @@ class StageTimer:
 def complete_folder(
     folder: RunFolder,
     result: Result,
-    test: list[AssignedScene],
-    first: Scene,
+    given: Sequence[Scene] | None,
     *,
     timer: StageTimer,
     progress: Progress,
 ) -> RunContent:
-    """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
+    """Complete a run folder that has its iterations: rigs, evaluation, figures, report; ``given`` as of `save`."""
     from warpav.runs._run_figures import GROUND_SCENES, RunPictures
     from warpav.runs.report._content import read_content
     from warpav.runs.report.report import write_report
     from warpav.sight import BlindGround
 
     placement, descent = result.placement, result._descent
+    if given is None and placement.test:
+        test, first = placement.test, placement.shown
+    else:
+        own = list(load_scenes(placement.config, "test") if given is None else given)
+        test, first = placement.observed(own, progress=progress), own[0]
+        if given is not None:
+            config = placement.config.replace({"run.out": str(folder.path)})
+            config = with_absolute_paths(_with_scenes(config, placement, own, folder))
+            folder.write_config(config, freeze=placement.parts.freeze)
     folder.write_checkpoint(result._state())
     write_rig(result.start, folder.rig_path("initial"))
     write_rig(result.rig, folder.rig_path("best"))
@@ -481,7 +483,7 @@ def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], fo
     """The configuration of a run whose scenes are objects, and are written into its folder."""
     own = placement.parts.scenes
     scenes = folder.path.absolute() / "scenes"
-    scenes.mkdir()
+    scenes.mkdir(exist_ok=True)
     parts = (*(own or ((), ())), test)
     seeds: list[list[int]] = []
     count = 0

@@ -20,8 +20,10 @@ from warpav.sight._ground import BlindGround as BlindGround
 from warpav.sight._ground import Coverage as Coverage
 from warpav.sight._ground import Ground as Ground
 from warpav.sight._ground import coverage as coverage
+from warpav.sight._read import Checks as Checks
 from warpav.sight._read import RequirementsForm as RequirementsForm
 from warpav.sight._read import copy_requirements as copy_requirements
+from warpav.sight._read import read_checks as read_checks
 from warpav.sight._read import read_requirements as read_requirements
 from warpav.sight._requirement import SECTORS as SECTORS
 from warpav.sight._requirement import Body as Body

@@ -189,12 +189,47 @@ class _RequirementForm(Form):
         )
 
 
+class Checks(Form):
+    """What ``warpav check`` asks of a rig besides; null: nothing."""
+
+    far_m: dict[Literal["vehicle", "pedestrian", "cyclist"], Positive] | None = Field(
+        default={"vehicle": 40.0, "pedestrian": 40.0, "cyclist": 40.0},
+        description="distances [m] of vehicle, pedestrian, cyclist: how far ahead each is found with probability 0.9, "
+        "at least (40: where a car from 50 km/h stops, after 1 s and with 4 m/s^2)",
+    )
+    traffic_lights: _Share | None = Field(
+        default=1.0,
+        description="a share of the places of a traffic light, at least (1: it is read from the stop line on)",
+    )
+    redundancy: _Share | None = Field(
+        default=None,
+        description="a share of the cells near the body where two cameras see a car, at least (the concept says it)",
+    )
+    camera_loss: _Share | None = Field(
+        default=None,
+        description="a share of the area near the body that is blind without any one camera, at most (likewise)",
+    )
+    tolerance: bool = Field(
+        default=True,
+        description="true or false: whether pitching all cameras by 1 degree, as mounts do, may break no more rules",
+    )
+    hard: list[Literal["far_m", "traffic_lights", "redundancy", "camera_loss", "tolerance"]] = Field(
+        default=[], description="names of the other checks: those whose failing ends the command with status 1"
+    )
+
+
 class RequirementsForm(Form):
     """A file of requirements."""
 
     requirements: dict[str, _RequirementForm] = Field(
         description="a mapping from names to at least one requirement", min_length=1
     )
+    checks: Checks = Field(Checks(), description="limits of what warpav check measures besides")
+
+
+def read_checks(source: str | Path) -> Checks:
+    """The limits in ``checks`` of what `read_requirements` reads."""
+    return _read(source).checks
 
 
 def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
@@ -207,12 +242,16 @@ def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
             the ego frame; ``grid_m``; ``object``, a name of `SIZES_M` or a mapping with ``kind`` or ``mesh``,
             ``height_m``, ``width_m``, ``length_m``, ``yaw_deg``; and, where wanted, ``visible_share`` (0.5),
             ``pixels`` (0), ``cameras`` (1), ``sector`` (a name of `SECTORS`, or two yaws in degrees), and ``hard``
-            (true) or a ``weight`` with the ``share`` of the points that must be met (1).
+            (true) or a ``weight`` with the ``share`` of the points that must be met (1). ``checks`` are `Checks`.
 
     Raises:
         InputError: There is no such file or template, or it breaks the format; the line says where, which field, what
             was expected and what came.
     """
+    return tuple(each.requirement(name) for name, each in _read(source).requirements.items())
+
+
+def _read(source: str | Path) -> RequirementsForm:
     names = template_names()
     file = template_file(str(source)) if str(source) in names else Path(source).expanduser()
     if file.suffix.lower() not in (".yaml", ".yml") and not file.is_file():
@@ -220,8 +259,7 @@ def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
         raise InputError(
             f"requirements: expected a YAML file or one of {listed}, got {str(source)!r}{nearest(source, names)}"
         )
-    form, _ = read_form(RequirementsForm, file, context=file.parent)
-    return tuple(each.requirement(name) for name, each in form.requirements.items())
+    return read_form(RequirementsForm, file, context=file.parent)[0]
 
 
 def copy_requirements(file: Path, copy: Path) -> None:

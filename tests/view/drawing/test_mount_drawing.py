@@ -158,6 +158,13 @@ def test_columns_of_the_table_keep_apart():
     assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
 
 
+def test_names_that_are_cut_stay_different():
+    long = [f"a_module_of_a_long_name_{each}_degrees_and_many_words" for each in (190, 120, 100)]
+    some = Rig(replace(each, module=long[k]) for k, each in enumerate(rig(3).cameras))
+    cut = {note.text for note in drawing_of(some, modules={}).notes if note.layer == "TABLE" and ".." in note.text}
+    assert len(cut) == 3
+
+
 def test_housings_are_named_where_they_can_be_seen():
     module = next(iter(builtin_modules().values()))
     some = Rig(replace(each, module="m") for each in rig(2).cameras)

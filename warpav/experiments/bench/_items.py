@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from warpav.core.cores import peak_bytes
 from warpav.experiments.bench._workload import ROTATION_COUNT, WEIGHT_NAMES, Truth, Workload, workload_objects
 from warpav.raster.areas import Measures
 from warpav.raster.buffers import Content
@@ -111,7 +109,8 @@ class Bench:
         """Most memory so far [MiB]: of the process on the CPU, of Warp's memory pool on a GPU."""
         if self.device.is_cuda:
             return wp.get_mempool_used_mem_high(self.device) / 2**20
-        return _peak_process_mib()
+        peak = peak_bytes()
+        return None if peak is None else peak / 2**20
 
     def _models(self) -> list[CameraModel]:
         return self.workload.models(range(len(self.workload.pose)))
@@ -263,21 +262,6 @@ def _place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.arr
 def object_type(object_count: int) -> np.dtype:
     """The smallest signed integers that hold -1 and the number of every object."""
     return np.dtype(next(t for t in (np.int8, np.int16, np.int32) if object_count <= np.iinfo(t).max))
-
-
-def _peak_process_mib() -> float | None:
-    """Peak resident memory of this process [MiB]; None if the system does not report it."""
-    status = Path("/proc/self/status")
-    if status.is_file():  # getrusage includes the parent process there
-        found = re.search(r"VmHWM:\s*(\d+) kB", status.read_text())
-        if found:
-            return int(found[1]) / 2**10
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:

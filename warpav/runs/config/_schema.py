@@ -257,7 +257,7 @@ class SceneConfig(Section):
             value = getattr(self, name)
             if value is not None and self.source not in sources:
                 text = f"expected null, as only scenes.source {' and '.join(sources)} takes it, got {shown(value)}"
-                mistake(text, name, "source")
+                mistake(f"{text}; set scenes.{name}=null", name, "source")
         if self.vehicles_share is not None and self.vehicles is None:
             text = f"expected null without scenes.vehicles, got {self.vehicles_share:g}"
             mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")

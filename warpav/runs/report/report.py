@@ -146,7 +146,11 @@ def write_check(rig: str, items: Sequence[Any], figures: Mapping[str, io.BytesIO
     failed = [each.about for each in judged if each.is_hard and not each.is_kept]
     missed = sum(not each.is_hard and not each.is_kept for each in judged)
     text = f"{len(failed)} of {len(judged)} fail: {'; '.join(failed)}." if failed else f"{len(judged)} were checked."
-    text += f" {missed} with a weight {'is' if missed == 1 else 'are'} not met." if missed else ""
+    text += (
+        f" {missed} that {'is' if missed == 1 else 'are'} not hard {'is' if missed == 1 else 'are'} not met."
+        if missed
+        else ""
+    )
     page = _template("check").render(
         rig=rig,
         headline=words.Statement("FAIL" if failed else "PASS", text, "bad" if failed else "good"),

@@ -333,7 +333,8 @@ def _row(mount: Mount) -> tuple[str, ...]:
 def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list[tuple[str, ...]], list[float]]:
     """A table as it fits its room, and the edges of its columns: left ones of text, right ones of numbers.
 
-    Columns are as wide as what they hold; where there is no room for that, names are cut in the middle.
+    Columns are as wide as what they hold; where there is no room for that, names are cut in the middle, or nearest to
+    it where they stay different.
     """
 
     def widths_mm() -> np.ndarray:
@@ -347,8 +348,12 @@ def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list
     gaps = len(rows[0]) - 1
     while widths_mm().sum() + gaps * _COLUMN_GAP_LEAST_MM > _TABLE_MM and longest > 10:
         longest -= 1
-        cut = ((text, f"{text[: (longest - 2) // 2]}..{text[-(longest // 2) :]}") for row in rows for text in row[:2])
-        short = {text: text if len(text) <= longest else less for text, less in cut}
+        short = dict[str, str]()
+        for text in (text for row in rows for text in row[:2]):
+            heads = sorted(range(longest - 2), key=lambda head: abs(2 * head - longest + 2))
+            cuts = [f"{text[:head]}..{text[head + 2 - longest :]}" for head in heads] if len(text) > longest else [text]
+            others = {less for other, less in short.items() if other != text}
+            short[text] = next((each for each in cuts if each not in others), cuts[0])
         kept = [(*(short[text] for text in row[:2]), *row[2:]) for row in rows]
     width_mm = widths_mm()
     gap_mm = min(_COLUMN_GAP_MM, (_TABLE_MM - float(width_mm.sum())) / gaps)

@@ -76,6 +76,8 @@ def plan_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = Non
     farthest_m = {name: max(float(np.nanmax(each[..., 1], initial=0.0)) for each in ranges[name]) for name in rigs}
     far_m = max(half_length_m(ego) + _MARGIN_M, min(1.06 * max(farthest_m.values()) + 2.0, _FARTHEST_M))
     text = f"The darker a fan, the larger in that camera's image is a car {CAR_HEIGHT_M:g} m high.\n{RINGS}"
+    if len({max(camera.model.width_px for camera in rig.cameras) for rig in rigs.values()}) > 1:
+        text += " The rigs' images differ in size: with more pixels a fan reaches farther."
     shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
     labels = [": ".join(filter(None, (f"≥ {least:g} px", _SIZE_NAMES.get(least)))) for least in PIXELS]
     sizes = [Patch(color=str(1.0 - 0.8 * shade), label=each) for each, shade in zip(labels, shades, strict=True)]
