@@ -103,9 +103,8 @@ def test_the_bound_holds_for_cameras_and_lidars_with_counts_and_a_budget(seed, c
     lidars = np.where(rng.uniform(size=(4, 25)) < 0.6, rng.uniform(size=(4, 25)), 0.0)
     probability = np.minimum(np.vstack([random_pool(rng, 7, 25), lidars]), 0.9999)
     limits = RigLimits.of(MIXED, count=(2, 5), price={"camera": 1.0, "lidar": 3.0}, cost_max=cost_max)
-    absent = limits.absent
-    kind = np.array([0] * 7 + [1] * 4 + [-1] * absent)
-    rows, found = limits.rows(kind), np.pad(probability, ((0, absent), (0, 0)))
+    kind = np.array([0] * 7 + [1] * 4 + [-1] * limits.absent)
+    rows, found = limits.rows(kind), np.pad(probability, ((0, limits.absent), (0, 0)))
     is_camera = np.array(kind)[:, None] == 0
 
     def missed(rig):

@@ -55,7 +55,7 @@ def _detected(cameras: SingleCameras, pose: np.ndarray, side: np.ndarray, scene:
     for number, of_side in enumerate(cameras.sides):
         own = np.flatnonzero(side == number)
         seen = of_side.detection_probability(pose[..., own, :].reshape(-1, pose.shape[-1]), scene)
-        found[..., own, :] = seen.reshape(*pose.shape[:-2], len(own), -1)
+        found[..., own, :] = seen.reshape(*pose.shape[:-2], len(own), found.shape[-1])
     return found
 
 

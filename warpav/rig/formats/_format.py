@@ -351,7 +351,7 @@ class RigFormat:
             losses.leave_out(radar.name, "a radar")
         cameras = [each for each in cameras if (self.lidars or not each.model.beams) and each not in radars]
         if not cameras:
-            raise InputError(f"{self.name}: expected a camera, got other sensors alone; choose another format")
+            raise InputError(f"{self.name}: expected a camera, got LiDARs alone; choose another format")
         is_file = target.suffix.lower() in self.suffixes and not target.is_dir()
         if not self.files:
             if is_file and len(cameras) > 1:
