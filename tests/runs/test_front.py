@@ -3,6 +3,7 @@
 import pytest
 
 import warpav as wa
+from warpav.core.progress import NullProgress
 from warpav.runs.config import Config, load_config
 
 SMALL = ["camera.width_px=64", "camera.height_px=64", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]
@@ -31,11 +32,15 @@ def test_the_near_field_counts_where_it_is_asked_for_alone(requirements, counts)
             assert point.objective == pytest.approx(missed, abs=1e-4)
 
 
-def test_the_question_is_checked_before_scenes_are_loaded(tmp_path):
-    unread = load_config(Config(), ["scenes.source=folder", f"scenes.folder={tmp_path}"], origin=None)
-    for by, message in (
-        ("cost", "rig.modules: expected modules with prices"),
-        ("cameras", "rig.cameras: expected a range"),
-    ):
-        with pytest.raises(wa.InputError, match=message):
-            wa.front(wa.Config.placement(unread), by=by)
+class Unloaded(NullProgress):
+    def steps(self, description, items, *, count):
+        raise AssertionError(description)
+
+
+@pytest.mark.parametrize(
+    ("by", "message"),
+    [("cost", "rig.modules: expected modules with prices"), ("cameras", "rig.cameras: expected a range")],
+)
+def test_the_question_is_checked_before_scenes_are_loaded(by, message):
+    with pytest.raises(wa.InputError, match=message):
+        wa.front(wa.Placement(wa.town([1])), by=by, progress=Unloaded())
