@@ -41,6 +41,7 @@ from warpav.view._picture import (
     add_range_rings,
     add_scene,
     label_point_m,
+    project_px,
     rig_plotter,
 )
 
@@ -84,6 +85,7 @@ SHOWN_HEIGHTS_M = (*HEIGHTS_M, PATCH_M)
 
 _BOTTOM = 0.1  # above the lines of help
 
+_PARTS = ("descent", "further", "gain")  # what is known of the rigs of a run alone
 TURN_DEG = 2.0
 _MESSAGE_CHARACTERS = 80
 """Longest line of a message in the window."""
@@ -133,6 +135,8 @@ class Inspector:
         self._drawn = list(state.rig.cameras)
         self._balls: list[Any] = []
         self._labels = [self._add_label(index) for index in range(len(self._drawn))]
+        self.is_putting = False
+        self._held_px = np.zeros(2)
         self._ground: tuple[Ground, tuple[float, ...], Any] | None = None
         self._numbers: Any = None
         self._view: Any = None
@@ -148,8 +152,8 @@ class Inspector:
             return  # the slider says so when it is made
         self.state.go_to(frame)
         with self._one_render():
-            self._move(range(len(self.state.rig.cameras)))
-            self._draw("descent", "further", "gain", "visibility")
+            self._move()
+            self._draw(*_PARTS, "visibility")
             self._redraw()
 
     def show_scene(self, number: int) -> None:
@@ -197,11 +201,28 @@ class Inspector:
         gain = "gain" if "further" in self.state.known else None
         self.show_on_body({None: "zones", "zones": gain, "gain": None}[self.shown_on_body])
 
+    def edit(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
+        """Take a step of `EditedRig` by its name, such as ``undo``; the camera that it was about is chosen."""
+        edit = getattr(self.state.edits, step)(*words, **numbers)
+        count = len(edit.rig.cameras)
+        self.chosen = edit.camera if edit.camera is not None and edit.camera < count else None
+        self._after_change()
+
+    def edit_chosen(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
+        """Take a step about the chosen camera, if there is one."""
+        if self.chosen is not None:
+            self.edit(step, self.chosen, *words, **numbers)
+
     def change_module(self) -> None:
         """Put the next module in the place of the chosen camera."""
-        if self.chosen is not None and "modules" in self.state.known:
-            self.state.change_module(self.chosen)
-            self._after_change(self.chosen)
+        names = list(self.state.edits.modules)
+        if self.chosen is not None and names:
+            old = self.state.rig.cameras[self.chosen].module
+            self.edit_chosen("set_module", names[(names.index(old) + 1) % len(names) if old in names else 0])
+
+    def put(self) -> None:
+        """From now on the next click on the body puts a camera there; once more, and it does not."""
+        self.is_putting = not self.is_putting
 
     def choose(self, camera: int | None) -> None:
         """Show the view through a camera, with boxes; None: through none."""
@@ -215,17 +236,14 @@ class Inspector:
         with self._one_render():
             self._follow(camera, position_m)
 
-    def drop(self, camera: int, position_m: np.ndarray) -> None:
+    def drop(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
         """Move a camera and let go of it: everything follows."""
-        self.state.move(camera, position_m)
-        self.chosen = camera
-        self._after_change(camera)
+        self.edit("move", camera, position_m, outward)
 
     def turn(self, angle_deg: float) -> None:
         """Turn the chosen camera to the left by an angle [degrees]."""
         if self.chosen is not None:
-            self.state.turn(self.chosen, self.state.rig.cameras[self.chosen].yaw_rad + np.radians(angle_deg))
-            self._after_change(self.chosen)
+            self.edit_chosen("pose", yaw_deg=np.degrees(self.state.rig.cameras[self.chosen].yaw_rad) + angle_deg)
 
     def save(self) -> Path:
         """Write the rig as it is now, to a file of its own: a number follows the name where that is taken."""
@@ -233,7 +251,7 @@ class Inspector:
         while path.is_file():
             number += 1
             path = self.save_to.with_stem(f"{self.save_to.stem}-{number}")
-        self.state.save(path)
+        self.state.edits.save(path)
         with self._one_render():
             self._say("\n".join([*self._lines(), f"wrote {path}"]))
         return path
@@ -257,6 +275,13 @@ class Inspector:
             found["o"] = ("other module", self.change_module)
         found["Left"] = ("turn left", lambda: self.turn(TURN_DEG))
         found["Right"] = ("turn right", lambda: self.turn(-TURN_DEG))
+        found["b"] = ("put a camera: click the body", self.put)
+        found["t"], found["x"] = (
+            ("copy", partial(self.edit_chosen, "copy")),
+            ("mirror", partial(self.edit_chosen, "mirror")),
+        )
+        found["Delete"] = ("remove", partial(self.edit_chosen, "remove"))
+        found["BackSpace"], found["y"] = ("undo", partial(self.edit, "undo")), ("redo", partial(self.edit, "redo"))
         found["Return"] = ("write the rig", self.save)
         return found
 
@@ -265,6 +290,8 @@ class Inspector:
         for index in range(len(self.state.rig.cameras)):
             self._add_ball(index)
         plotter.render_window.AddObserver("WindowResizeEvent", lambda *_: self._put_view())
+        interactor = plotter.iren.interactor
+        self._press = interactor.AddObserver("LeftButtonPressEvent", lambda *_: self._attempt(self._pressed), 1.0)
         if self._panel is not None:
             return
         said = ["click a ball: look through the camera", "drag it: move the camera"]
@@ -297,7 +324,7 @@ class Inspector:
     def _add_ball(self, index: int) -> None:
         """A ball around a camera that can be dragged."""
         widget = self.plotter.add_sphere_widget(
-            lambda position_m: self.drop(index, np.array(position_m)),
+            lambda position_m: self._dropped(index, np.array(position_m)),
             center=tuple(self.state.rig.cameras[index].position_m),
             radius=_BALL_RADIUS_M,
             color=hex_colour(camera_rgb(index)),
@@ -306,7 +333,7 @@ class Inspector:
             test_callback=False,
         )
         widget.AddObserver("InteractionEvent", lambda ball, _: self._dragged(ball, index))
-        widget.AddObserver("StartInteractionEvent", lambda ball, _: self.choose(index))
+        widget.AddObserver("StartInteractionEvent", lambda ball, _: self._grab(index))
         self._balls.append(widget)
 
     def _add_label(self, index: int) -> Any:  # noqa: ANN401 (a pyvista.Label)
@@ -329,37 +356,76 @@ class Inspector:
             yield
         self.plotter.render()
 
+    def _pointed(self, off_px: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where on the body the mouse points at, beside it by so much, and the normal there; None: beside the body."""
+        x, y = self.plotter.iren.interactor.GetEventPosition() + off_px
+        ends = []
+        for depth in (0.0, 1.0):
+            self.plotter.renderer.SetDisplayPoint(x, y, depth)
+            self.plotter.renderer.DisplayToWorld()
+            *end, scale = self.plotter.renderer.GetWorldPoint()
+            ends.append(np.divide(end, scale))
+        near, far = ends
+        return self.state.skin_at(np.array([near, (far - near) / np.linalg.norm(far - near)]))
+
+    def _pressed(self) -> None:
+        """Put a camera where the mouse is pressed, where that was asked for."""
+        found = self._pointed(np.zeros(2)) if self.is_putting else None
+        if found is not None:
+            self.is_putting = False
+            self.plotter.iren.interactor.GetCommand(self._press).AbortFlagOn()
+            self.edit("put", *found, like=self.chosen or 0)
+
+    def _grab(self, camera: int) -> None:
+        """Begin to drag: what moves under the mouse is where the camera stands on the skin."""
+        foot_px = project_px(self.plotter, self.state.edits.foot_m(camera)[None])[0]
+        height_px = self.plotter.render_window.GetSize()[1]
+        self._held_px = [foot_px[0], height_px - foot_px[1]] - np.array(self.plotter.iren.interactor.GetEventPosition())
+        self.choose(camera)
+
     def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
         """Answer to a move of the mouse; the ball draws the window afterwards, so nothing else has to."""
         with no_render(self.plotter):
-            self._follow(camera, np.array(ball.GetCenter()))
+            self._follow(camera, *(self._pointed(self._held_px) or (np.array(ball.GetCenter()),)))
 
-    def _follow(self, camera: int, position_m: np.ndarray) -> None:
+    def _dropped(self, camera: int, position_m: np.ndarray) -> None:
+        self.drop(camera, *(self._pointed(self._held_px) or (position_m,)))
+
+    def _follow(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
         """What a drag changes, not yet drawn."""
         was_known = self.state.descent is not None or self.state.further is not None
-        self.state.move(camera, position_m)
+        self.state.edits.move(camera, position_m, outward, held=True)
         self._draw_camera(camera)
         if was_known:
-            self._draw("descent", "further", "gain")
+            self._draw(*_PARTS)
         if "visibility" in self.shows:
             self._draw_visibility([camera], rays=_DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
-    def _after_change(self, camera: int) -> None:
+    def _after_change(self) -> None:
         with self._one_render():
-            self._move([camera])
-            self._draw("descent", "further", "gain")
-            if "visibility" in self.shows:
-                self._draw_visibility([camera])
-            if "outcomes" in self.shows:
-                self._draw("outcomes")
+            self._move()
+            self._draw(*_PARTS, "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
             self._redraw()
 
-    def _move(self, cameras: Iterable[int]) -> None:
-        """Draw cameras where they are now, and their balls."""
-        for index in cameras:
+    def _move(self) -> None:
+        """Draw cameras where they are now, and their balls; others than were drawn are drawn anew."""
+        cameras = self.state.rig.cameras
+        if [each.name for each in cameras] != [each.name for each in self._drawn]:
+            for old, ball in zip(self._drawn, self._balls, strict=True):
+                remove(self.plotter, f"rig/{old.name}")
+                for name in (f"label/{old.name}", f"visibility/{old.name}"):
+                    self.plotter.remove_actor(name)
+                ball.Off()
+                self.plotter.sphere_widgets.remove(ball)
+            self._drawn, self._balls = list(cameras), []
+            for index, camera in enumerate(cameras):
+                add_camera(self.plotter, camera, index)
+                self._add_ball(index)
+            self._labels = [self._add_label(index) for index in range(len(cameras))]
+        for index, camera in enumerate(cameras):
             self._draw_camera(index)
-            self._balls[index].SetCenter(*self.state.rig.cameras[index].position_m)
+            self._balls[index].SetCenter(*camera.position_m)
 
     def _draw_camera(self, index: int) -> None:
         """Move what is drawn of a camera to where it is now; only another lens is drawn again."""
@@ -408,8 +474,8 @@ class Inspector:
         """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
         self._draw_coverage()
         self._say("\n".join(self._lines(detector=detector)))
+        self._draw_view(detector=detector)
         if detector:
-            self._draw_view()
             add_requirements(self.plotter, self.state.requirements if "requirements" in self.shows else None)
 
     def _lines(self, *, detector: bool = True) -> list[str]:
@@ -423,8 +489,11 @@ class Inspector:
                 seen = ", ".join(f"{share:.1%} by {count}" for count, share in zip((1, 2, 3), shares, strict=True))
                 lines.append(f"the ground within {NEAR_M:g} m: {seen} cameras or more")
         chosen = None if self.chosen is None else self.state.rig.cameras[self.chosen]
-        if chosen is not None and chosen.module is not None:
-            lines.append(f"{chosen.name}: {chosen.module}")
+        if self._panel is None:  # which shows these in its own way
+            broken = [each for each in self.state.edits.edit.findings if each.is_kept is False]
+            lines += [f"{each.about} {each.found}, {each.asked} asked" for each in broken]
+            if chosen is not None and chosen.module is not None:
+                lines.append(f"{chosen.name}: {chosen.module}")
         met = self.state.requirements if detector and "requirements" in self.shows else None
         if met is not None:
             lines.append(f"requirements: {met.is_point_met.mean():.1%} of points met (discs), the rest has crosses")
@@ -458,15 +527,18 @@ class Inspector:
             self._numbers = add_text(self.plotter, text, (0.02, 0.80), size=10, name="numbers")
         self._numbers.input = text
 
-    def _draw_view(self) -> None:
+    def _draw_view(self, *, detector: bool = True) -> None:
         """The image of the chosen camera with its boxes, in the lower right corner."""
         if self.chosen is None:
             self.plotter.remove_actor("view")
             self._view = None
             return
-        self._view = _image_actor(self.view_rgb())
+        image = _image(self.view_rgb(detector=detector))
+        if self._view is None:
+            self._view = _image_actor()
+            self.plotter.add_actor(self._view, name="view")
+        self._view.GetMapper().SetInputData(image)
         self._put_view()
-        self.plotter.add_actor(self._view, name="view")
 
     def _put_view(self) -> None:
         """Put the image of the chosen camera into the corner of the window as it is now."""
@@ -474,49 +546,59 @@ class Inspector:
             width_px = self._view.GetMapper().GetInput().GetDimensions()[0]
             self._view.SetPosition(self.plotter.render_window.GetSize()[0] - 16 - width_px, 44)
 
-    def view_rgb(self) -> np.ndarray:
+    def view_rgb(self, *, detector: bool = True) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
         from warpav.detection import render_images
         from warpav.view.figures._images import own_body_tinted
 
         assert self.chosen is not None
-        observed, packed = self.state.observation.cameras[self.chosen], self.state.packed
-        [image] = render_images(packed, [self.state.rig.cameras[self.chosen]], device=str(packed.raster.device))
-        shown_rgb = own_body_tinted(observed.image_rgb, image.object_index)
-        return _framed_view(replace(observed, image_rgb=shown_rgb), camera_rgb(self.chosen))
+        camera, packed = self.state.rig.cameras[self.chosen], self.state.packed
+        if not detector:
+            scale = _VIEW_PX / max(camera.model.width_px, camera.model.height_px)
+            size_px = (max(8, round(scale * each)) for each in (camera.model.width_px, camera.model.height_px))
+            camera = replace(camera, model=camera.model.resized(*size_px))
+        [image] = render_images(packed, [camera], device=str(packed.raster.device))
+        observed = self.state.observation.cameras[self.chosen] if detector else None
+        shown_rgb = own_body_tinted(image.rgb if observed is None else observed.image_rgb, image.object_index)
+        return _framed_view(shown_rgb, observed, camera_rgb(self.chosen))
 
 
-def _framed_view(observed: CameraObservation, border_rgb: tuple[int, int, int]) -> np.ndarray:
-    """A camera's image with boxes and a coloured border, uint8 [row, column, 3]."""
+def _framed_view(
+    shown_rgb: np.ndarray, observed: CameraObservation | None, border_rgb: tuple[int, int, int]
+) -> np.ndarray:
+    """A camera's image with a coloured border, and boxes where they are known, uint8 [row, column, 3]."""
     import cv2
 
-    scale = _VIEW_PX / max(observed.image_rgb.shape[:2])
-    enlarged = cv2.resize(observed.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+    scale = _VIEW_PX / max(shown_rgb.shape[:2])
+    enlarged = cv2.resize(shown_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
 
     def draw(box: np.ndarray, rgb: tuple[int, int, int], width: int) -> None:
         x0, y0, x1, y1 = (int(round(float(value) * scale)) for value in box)
         cv2.rectangle(enlarged, (x0, y0), (x1, y1), rgb, width)
 
-    matched = set(observed.match.tolist())
-    for k, box in enumerate(observed.detections.box_px):
-        draw(box, TRUE_POSITIVE_RGB if k in matched else FALSE_POSITIVE_RGB, 2)
-    for box, found in zip(observed.truth_box_px, observed.match, strict=True):
-        if found < 0 and np.isfinite(box).all():
-            draw(box, MISS_RGB, 2)
+    if observed is not None:
+        matched = set(observed.match.tolist())
+        for k, box in enumerate(observed.detections.box_px):
+            draw(box, TRUE_POSITIVE_RGB if k in matched else FALSE_POSITIVE_RGB, 2)
+        for box, found in zip(observed.truth_box_px, observed.match, strict=True):
+            if found < 0 and np.isfinite(box).all():
+                draw(box, MISS_RGB, 2)
     return cv2.copyMakeBorder(enlarged, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
 
 
-def _image_actor(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a vtkActor2D)
+def _image(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a pyvista.ImageData)
+    rows, columns = image_rgb.shape[:2]
+    grid = load_pyvista().ImageData(dimensions=(columns, rows, 1))
+    grid.point_data["rgb"] = np.ascontiguousarray(image_rgb[::-1]).reshape(-1, 3)
+    grid.set_active_scalars("rgb")
+    return grid
+
+
+def _image_actor() -> Any:  # noqa: ANN401 (a vtkActor2D)
     """An image in the plane of the window, with its lower left corner in that of the window."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
-    pyvista = load_pyvista()
-    rows, columns = image_rgb.shape[:2]
-    grid = pyvista.ImageData(dimensions=(columns, rows, 1))
-    grid.point_data["rgb"] = np.ascontiguousarray(image_rgb[::-1]).reshape(-1, 3)
-    grid.set_active_scalars("rgb")
     mapper = vtkImageMapper()
-    mapper.SetInputData(grid)
     mapper.SetColorWindow(255.0)
     mapper.SetColorLevel(127.5)
     actor = vtkActor2D()
