@@ -178,8 +178,9 @@ class BrowserInspector:
         wanted = (self.inspector.state.rig, tuple(self.state.scored))
         if self._scorer is None or wanted == self._scored or not wanted[1]:
             return
+        loop, scorer = asyncio.get_running_loop(), self._scorer
         self._scored, self._scoring = wanted, self._scoring + 1
-        number, loop, scorer = self._scoring, asyncio.get_running_loop(), self._scorer
+        number = self._scoring
 
         def breathe() -> None:
             while number == self._scoring and time.monotonic() < self._quiet_until:
@@ -258,7 +259,7 @@ class BrowserInspector:
                     "name": camera.name,
                     "module": camera.module or "",
                     "colour": hex_colour(camera_rgb(index)),
-                    "own_body": f"own body {share:.0%} of the image",
+                    "own_body": f"own body {share:.0%}",
                     "image": f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}",
                 }
                 for index, (camera, (jpeg, share)) in enumerate(zip(shown.rig.cameras, shown.images, strict=True))
@@ -267,7 +268,7 @@ class BrowserInspector:
                 camera = shown.rig.cameras[chosen]
                 angles_deg = np.degrees([camera.yaw_rad, camera.pitch_rad, camera.roll_rad])
                 for name, value in zip(NUMBERS, [*camera.position_m, *angles_deg], strict=True):
-                    state[name] = f"{value:.3f}" if name.endswith("_m") else f"{value:.1f}"
+                    state[name] = f"{round(float(value), 3 if name.endswith('_m') else 1) + 0.0:g}"
                 state.module = camera.module
             state.findings = [each._asdict() for each in edits.edit.findings]
         with contextlib.suppress(RuntimeError):  # before the page is served there is nobody to score for
@@ -287,18 +288,18 @@ class BrowserInspector:
                     self._icon("redo", partial(self.inspector.edit, "redo"), disabled=("!can_redo",))
                     self._icon("save", self._write, icon="content-save")
                 html.Div("{{ message }}", v_if="message", classes="text-caption bg-amber-lighten-4 pa-1 my-1 message")
-                with v.VTabs(v_model=("tab",), density="compact", grow=True, classes="mb-2"):
-                    v.VTab("edit", value="edit")
+                with v.VTabs(v_model=("tab",), density="compact", grow=True, show_arrows=False, classes="mb-2"):
                     broken = "findings.filter(each => each.is_kept === false).length"
-                    v.VTab("rules ({{ " + broken + " }} broken)", value="rules")
-                    v.VTab("view", value="view")
+                    titles = {"edit": "edit", "rules": "rules ({{ " + broken + " }} broken)", "view": "view"}
+                    for tab, title in titles.items():
+                        v.VTab(title, value=tab, classes="text-none px-2", min_width=0)
                 with html.Div(v_show="tab === 'edit'"):
                     self._make_edit_tab()
                 with html.Div(v_show="tab === 'rules'"):
                     self._make_findings("findings")
-                    html.Div("{{ line }}", v_for="line, k in lines", key="k", classes="text-caption line")
                 with html.Div(v_show="tab === 'view'"):
                     self._make_view_tab()
+                    html.Div("{{ line }}", v_for="line, k in lines", key="k", classes="text-caption line")
             with v.VMain(), html.Div(style="position: relative; width: 100%; height: 100%"):
                 view = vtk.VtkRemoteView(
                     self.inspector.plotter.render_window,
@@ -314,13 +315,15 @@ class BrowserInspector:
         from trame.widgets import vuetify3 as v
 
         if self._scorer is not None:
-            with html.Div(classes="d-flex align-end score"):
-                for number, words in (("expected", "expected misses"), ("missed", "detector's misses")):
-                    with html.Div(style="width: 38%", v_if="score"):
+            faint = ("`opacity: ${is_scoring ? 0.4 : 1}`",)
+            with html.Div(classes="d-flex score", v_if="score", style=faint):
+                for number, words in (
+                    ("expected", "expected misses of 100"),
+                    ("missed", "missed by the detector of 100"),
+                ):
+                    with html.Div(style="width: 50%; line-height: 1.2"):
                         html.Div("{{ score." + number + " }}", classes="text-h6", style="line-height: 1.2")
-                        html.Div(f"{words} of 100", classes="text-caption", style="line-height: 1.1")
-                with html.Div(classes="text-caption", style="line-height: 1.1"):
-                    html.Div("{{ is_scoring ? 'scoring ...' : score ? score.of : '' }}")
+                        html.Div(words, classes="text-caption", style="line-height: 1.1")
             with (
                 v.VSelect(
                     v_model=("scored",),
@@ -333,10 +336,13 @@ class BrowserInspector:
                 ),
                 v.Template(v_slot_selection="{ index }"),
             ):
-                html.Span("{{ scored.length }} of {{ scored_choices.length }}", v_if="index === 0")
-        self._make_findings("findings.filter(each => each.is_kept === false)")
+                html.Span(
+                    "{{ scored.length }} of {{ scored_choices.length }}{{ score ? score.of : '' }}", v_if="index === 0"
+                )
+        html.Div("{{ line }}", v_for="line, k in lines.slice(1, 3)", key="k", classes="text-caption")
+        self._make_findings("findings.filter(each => each.is_kept !== true)")
         with (
-            v.VList(density="compact", classes="py-0"),
+            v.VList(density="compact", classes="py-0", style="max-height: 232px; overflow-y: auto"),
             v.VListItem(
                 v_for="camera, k in cameras",
                 key="camera.name",
@@ -348,11 +354,12 @@ class BrowserInspector:
             with v.Template(v_slot_prepend=True):
                 html.Img(
                     src=("camera.image",),
-                    style=("`width: 64px; margin-right: 8px; border: 2px solid ${camera.colour}`",),
+                    style=("`height: 38px; max-width: 68px; margin-right: 8px; border: 2px solid ${camera.colour}`",),
                 )
-            html.Div("{{ camera.name }}", classes="text-body-2")
+            with html.Div(classes="d-flex justify-space-between"):
+                html.Div("{{ camera.name }}", classes="text-body-2 text-truncate name")
+                html.Div("{{ camera.own_body }}", classes="text-caption", title="share of its image")
             html.Div("{{ camera.module }}", classes="text-caption text-truncate", v_if="camera.module")
-            html.Div("{{ camera.own_body }}", classes="text-caption")
         with html.Div(v_if="chosen >= 0", classes="mt-1"):
             with v.VRow(dense=True):
                 for name in NUMBERS:
@@ -451,11 +458,11 @@ class BrowserInspector:
 
         click = partial(self._do, action)
         style = {"variant": "text", "density": "comfortable", "size": "small"}
-        v.VBtn(icon=f"mdi-{icon or label}", title=label, aria_label=label, click=click, **style, **options)
+        v.VBtn(icon=f"mdi-{icon or label}", title=label, click=click, **style, **options)
 
 
 _PANEL_PX = 340
-_THUMBNAIL = "`width: 64px; margin-right: 8px; border: 2px solid ${camera.colour}`"
+_THUMBNAIL = "`height: 38px; max-width: 68px; margin-right: 8px; border: 2px solid ${camera.colour}`"
 _FINDING = "{{ each.about }}: {{ each.found }}{{ each.asked ? ', ' + each.asked : '' }}"
 _SMALL = {"density": "compact", "hide_details": True}
 _OFF = ("off", "off")
@@ -464,7 +471,7 @@ _OFF = ("off", "off")
 def _score_words(score: RigScore) -> dict[str, str]:
     numbers = {"expected": score.expected_per_100, "missed": score.missed_per_100}
     words = {name: "-" if value is None else f"{value:.1f}" for name, value in numbers.items()}
-    return {**words, "of": f"{score.objects} road users, {score.scenes} scene{'' if score.scenes == 1 else 's'}"}
+    return {**words, "of": f", {score.objects} road user{'' if score.objects == 1 else 's'}"}
 
 
 def _or_off(action: Callable[[Any], object], wanted: Any) -> None:  # noqa: ANN401 (of the choice)

@@ -36,6 +36,9 @@ _STANDS_M = 0.5
 _LEVEL = 0.7
 """Where the part of the skin's normal upwards is greater, a camera that is put there looks away from the middle."""
 
+_ROUND_RAD = math.radians(5.0)
+"""To which yaws of cameras that are put are rounded."""
+
 _LEAST_STEP_M = 0.05
 """Between a camera and its copy [m]."""
 
@@ -79,7 +82,7 @@ class Edit:
     def _kept(self) -> Sequence[Finding]:
         margins = self.constraints.margins(self.rig)
         found = []
-        for kind, words in (("border", "inside of where cameras may stand"), ("spacing", "closest pair of cameras")):
+        for kind, words in (("border", "Inside of where cameras may stand"), ("spacing", "Closest pair of cameras")):
             of_kind = [each for each in margins if each.kind == kind]
             if of_kind:
                 worst = min(of_kind, key=lambda each: each.slack_m)
@@ -165,7 +168,7 @@ class EditedRig:
         made = dataclasses.replace(
             self.rig.cameras[like],
             position_m=position_m,
-            yaw_rad=math.atan2(away[1], away[0]),
+            yaw_rad=_ROUND_RAD * round(math.atan2(away[1], away[0]) / _ROUND_RAD),
             pitch_rad=0.0,
             roll_rad=0.0,
             behind_glass=pane,

@@ -137,6 +137,7 @@ class Inspector:
         self._labels = [self._add_label(index) for index in range(len(self._drawn))]
         self.is_putting = False
         self._held_px = np.zeros(2)
+        self._heard: dict[str, Any] = {}
         self._ground: tuple[Ground, tuple[float, ...], Any] | None = None
         self._numbers: Any = None
         self._view: Any = None
@@ -291,7 +292,11 @@ class Inspector:
             self._add_ball(index)
         plotter.render_window.AddObserver("WindowResizeEvent", lambda *_: self._put_view())
         interactor = plotter.iren.interactor
-        self._press = interactor.AddObserver("LeftButtonPressEvent", lambda *_: self._attempt(self._pressed), 1.0)
+        for event in ("LeftButtonPressEvent", "LeftButtonReleaseEvent"):  # before the balls and the view hear of it
+            tag = interactor.AddObserver(
+                event, lambda *_, event=event: self._attempt(partial(self._clicked, event)), 1.0
+            )
+            self._heard[event] = interactor.GetCommand(tag)
         if self._panel is not None:
             return
         said = ["click a ball: look through the camera", "drag it: move the camera"]
@@ -368,13 +373,14 @@ class Inspector:
         near, far = ends
         return self.state.skin_at(np.array([near, (far - near) / np.linalg.norm(far - near)]))
 
-    def _pressed(self) -> None:
-        """Put a camera where the mouse is pressed, where that was asked for."""
+    def _clicked(self, event: str) -> None:
+        """Put a camera where the mouse is clicked, where that was asked for; the balls hear nothing of such a click."""
         found = self._pointed(np.zeros(2)) if self.is_putting else None
         if found is not None:
-            self.is_putting = False
-            self.plotter.iren.interactor.GetCommand(self._press).AbortFlagOn()
-            self.edit("put", *found, like=self.chosen or 0)
+            self._heard[event].AbortFlagOn()
+            if event == "LeftButtonReleaseEvent":
+                self.is_putting = False
+                self.edit("put", *found, like=self.chosen or 0)
 
     def _grab(self, camera: int) -> None:
         """Begin to drag: what moves under the mouse is where the camera stands on the skin."""
@@ -417,7 +423,7 @@ class Inspector:
                 for name in (f"label/{old.name}", f"visibility/{old.name}"):
                     self.plotter.remove_actor(name)
                 ball.Off()
-                self.plotter.sphere_widgets.remove(ball)
+                self.plotter.widgets.sphere_widgets.remove(ball)
             self._drawn, self._balls = list(cameras), []
             for index, camera in enumerate(cameras):
                 add_camera(self.plotter, camera, index)
