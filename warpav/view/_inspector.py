@@ -205,8 +205,7 @@ class Inspector:
     def edit(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
         """Take a step of `EditedRig` by its name, such as ``undo``; the camera that it was about is chosen."""
         edit = getattr(self.state.edits, step)(*words, **numbers)
-        count = len(edit.rig.cameras)
-        self.chosen = edit.camera if edit.camera is not None and edit.camera < count else None
+        self.chosen = edit.camera
         self._after_change()
 
     def edit_chosen(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
@@ -277,11 +276,8 @@ class Inspector:
         found["Left"] = ("turn left", lambda: self.turn(TURN_DEG))
         found["Right"] = ("turn right", lambda: self.turn(-TURN_DEG))
         found["b"] = ("put a camera: click the body", self.put)
-        found["t"], found["x"] = (
-            ("copy", partial(self.edit_chosen, "copy")),
-            ("mirror", partial(self.edit_chosen, "mirror")),
-        )
-        found["Delete"] = ("remove", partial(self.edit_chosen, "remove"))
+        for key, step in {"h": "copy", "x": "mirror", "Delete": "remove"}.items():
+            found[key] = step, partial(self.edit_chosen, step)
         found["BackSpace"], found["y"] = ("undo", partial(self.edit, "undo")), ("redo", partial(self.edit, "redo"))
         found["Return"] = ("write the rig", self.save)
         return found
@@ -417,6 +413,8 @@ class Inspector:
     def _move(self) -> None:
         """Draw cameras where they are now, and their balls; others than were drawn are drawn anew."""
         cameras = self.state.rig.cameras
+        if self.chosen is not None and self.chosen >= len(cameras):
+            self.chosen = None
         if [each.name for each in cameras] != [each.name for each in self._drawn]:
             for old, ball in zip(self._drawn, self._balls, strict=True):
                 remove(self.plotter, f"rig/{old.name}")
