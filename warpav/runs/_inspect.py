@@ -287,7 +287,7 @@ def write_inspector_page(
     for each in shown:
         picture = Picture(rig=rig, scene=each, trajectory_m=trajectory_m)
         plotter = rig_plotter(picture, Canvas(zoom=WIDE_ZOOM, off_screen=True), sectors=False)
-        add_range_rings(plotter, each.ego.bounds_m())
+        add_range_rings(plotter, each)
         ground = Ground.around(DeviceScene.pack(each, device=checked_device(config.device)))
         for height_m in (*HEIGHTS_M, PATCH_M):
             coverage = ground.coverage(rig.cameras, heights_m=(height_m,))

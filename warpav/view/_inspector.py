@@ -450,7 +450,7 @@ class Inspector:
         state, plotter, shows = self.state, self.plotter, self.shows
         for part in parts:
             if part == "rings":
-                add_range_rings(plotter, state.scene.ego.bounds_m() if part in shows else None)
+                add_range_rings(plotter, state.scene if part in shows else None)
             elif part == "outcomes":
                 remove(plotter, "scene")
                 add_scene(plotter, state.scene, state.observation.outcomes if part in shows else None)
