@@ -10,7 +10,7 @@ from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
 from warpav.optimisation import FurtherCameras, ObjectiveOptions, RigObserver
 from warpav.raster.decide import Occlusion
-from warpav.rig import Rig, builtin_modules, read_rig
+from warpav.rig import LEAST_STAND_OFF_M, Rig, builtin_modules, read_rig
 from warpav.sight import PATCH_M, Ground, Requirement, check_requirements
 from warpav.sight._requirement import SIZES_M, Band, TestObject
 from warpav.thesis import BoundsAndSpacing
@@ -177,24 +177,35 @@ def press(inspector, key):
     inspector.plotter.iren.interactor.KeyPressEvent()
 
 
-def test_a_camera_is_dragged_by_the_mouse(inspector):
+def test_cameras_are_dragged_by_the_mouse_along_the_skin(inspector):
+    """One after the other: the place on the skin follows the mouse, and beside the body the nearest place."""
     plotter, state = inspector.plotter, inspector.state
-    before, old = picture(inspector), state.rig.cameras[0]
-    start = project_px(plotter, old.position_m[None])[0]
-    end = project_px(plotter, np.array([[1.4, 0.3, old.position_m[2]]]))[0]
-    height = plotter.window_size[1]
-    plotter.iren._mouse_move(int(start[0]), int(height - start[1]))
-    plotter.iren._mouse_left_button_press(int(start[0]), int(height - start[1]))
-    assert inspector.chosen == 0
-    plotter.iren._mouse_move(int(end[0]), int(height - end[1]))
-    dragged = state.rig.cameras[0]
-    assert np.linalg.norm(dragged.position_m[:2] - old.position_m[:2]) > 0.2
-    asked = len(state.asked)
-    plotter.iren._mouse_left_button_release(int(end[0]), int(height - end[1]))
-    # it stands on the surface, and the ball with it
-    assert state.rig.cameras[0].position_m[2] == pytest.approx(1.58)
-    np.testing.assert_allclose(inspector._balls[0].GetCenter(), state.rig.cameras[0].position_m)
-    assert len(state.asked) == asked + 1  # only now
+    before = picture(inspector)
+
+    def mouse(action, point_m):
+        [[column, row]] = project_px(plotter, np.array([point_m]))
+        getattr(plotter.iren, f"_mouse_{action}")(int(column), int(plotter.window_size[1] - row))
+
+    roof_m, skin_m = 1.5 + HEIGHT_M, 1.5 + LEAST_STAND_OFF_M
+    for camera, (x_m, y_m), wanted in (
+        (0, (1.4, 0.3), (1.4, 0.3, roof_m)),
+        (3, (2.9, -0.3), (2.9, -0.3, skin_m)),
+        (2, (5.0, 0.2), (2.6, 0.2, roof_m)),
+    ):
+        old = state.rig.cameras[camera]
+        mouse("left_button_press", old.position_m)
+        assert inspector.chosen == camera
+        mouse("move", [x_m, y_m, roof_m])
+        asked = len(state.asked)
+        mouse("left_button_release", [x_m, y_m, roof_m])
+        assert len(state.asked) == asked + 1  # only now
+        # it stands on the surface, and the ball with it
+        np.testing.assert_allclose(state.rig.cameras[camera].position_m, wanted, atol=0.04)
+        ball = plotter.actors[f"rig/cam_{camera}/ball"].center
+        np.testing.assert_allclose(ball, state.rig.cameras[camera].position_m, atol=1e-5)
+        before_it, after_it = state.edits.undo().rig.cameras, state.edits.redo().rig.cameras
+        changed = [new is not old for new, old in zip(before_it, after_it, strict=True)]
+        assert changed == [k == camera for k in range(4)]  # one step
     assert np.abs(picture(inspector) - before).max() > 50
 
 
@@ -238,7 +249,8 @@ def test_keys_and_a_click_add_and_remove_cameras(equipped, show):
     made.choose(1)
     for key, count in (("h", 5), ("x", 6), ("Delete", 5), ("BackSpace", 6), ("BackSpace", 5), ("y", 6)):
         press(made, key)
-        assert (len(equipped.rig.cameras), len(made._balls)) == (count, count)
+        balls = [name for name in made.plotter.actors if name.endswith("/ball")]
+        assert (len(equipped.rig.cameras), len(balls)) == (count, count)
     press(made, "b")
     [[column, row]] = project_px(made.plotter, np.array([[2.2, -0.3, 1.5]]))
     at_px = int(column), int(made.plotter.window_size[1] - row)
@@ -485,7 +497,9 @@ def test_the_slider_goes_through_the_run(inspector):
     slider.GetRepresentation().SetValue(0.2)
     slider.InvokeEvent("EndInteractionEvent")
     assert inspector.state.frame == 0
-    np.testing.assert_allclose(inspector._balls[0].GetCenter(), inspector.state.frames[0].cameras[0].position_m)
+    np.testing.assert_allclose(
+        inspector.plotter.actors["rig/cam_0/ball"].center, inspector.state.frames[0].cameras[0].position_m
+    )
 
 
 def test_the_view_shows_the_boxes_of_the_chosen_camera(inspector):

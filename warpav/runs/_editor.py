@@ -21,8 +21,6 @@ from warpav.runs._check import rule_items
 from warpav.runs._detector_fit import ensure_fit
 from warpav.runs._mounts import objective_options
 from warpav.runs._networks import load_detector
-from warpav.runs._optimise import optimise
-from warpav.runs._placement import Placement
 from warpav.runs._scene_set import load_scenes
 from warpav.scene import DeviceScene, Scene
 from warpav.sight import RuleCheck
@@ -121,6 +119,9 @@ def search_from(
     Raises:
         InputError: The cameras are neither of one model nor all modules, or they cannot be placed.
     """
+    from warpav.runs._optimise import optimise
+    from warpav.runs._placement import Placement
+
     if scenes is None:
         scenes = list(load_scenes(config, [config.scenes.test_seeds[k] for k in chosen]))
     else:

@@ -46,6 +46,9 @@ DEFAULT_PORT = 8765
 _INTERACTIVE_QUALITY, _STILL_QUALITY = 70, 92
 """Of JPEG images while the mouse moves, and after it has."""
 
+_IMAGES_A_SECOND = 40.0
+"""Sent at most while the mouse moves."""
+
 _AGAIN_S = 0.3
 """When the image after an action is sent once more, and how often a search is asked for news [s]."""
 
@@ -112,11 +115,14 @@ class BrowserInspector:
             self.port = int(self._server.port)
             if ready is not None:
                 ready(self.url, self.port)
+            for each in self._server.protocol.getLinkProtocols():
+                if hasattr(each, "min_frame_rate"):  # it would wait between images that take longer
+                    each.min_frame_rate = each.max_frame_rate = each.target_frame_rate = _IMAGES_A_SECOND
             asyncio.get_running_loop().call_later(_FIRST_SCORE_S, self._score)
 
         self._server.controller.on_server_ready.add(has_started)
         # the server reads the words of the command line unless it is given others
-        with _environment("TRAME_ARGS", f"--server --nosignalhandlers --authKey={self.token}"):
+        with _environment("TRAME_ARGS", f"--server --nosignalhandlers --no-ws-compress --authKey={self.token}"):
             try:
                 asyncio.run(self._run(port))
             except OSError as error:

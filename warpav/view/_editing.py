@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from warpav.rig import Module
 
 _NEAR_M = 0.1
-"""A place of the skin so near to the mount surface belongs to it [m]."""
+"""A place of the skin so near to one that may carry a camera is that one [m]."""
 
 _STANDS_M = 0.5
 """A camera so near to the mount surface stands on it [m]."""
@@ -293,10 +293,10 @@ class EditedRig:
         model = dataclasses.replace(module.camera_model(), near_m=camera.model.near_m)
         return dataclasses.replace(camera, model=model, module=name, housing=module.housing)
 
-    def _is_on(self, point_m: np.ndarray, near_m: float = _STANDS_M) -> bool:
-        """Whether a point is over a place that may carry a camera, and so near to its surface."""
+    def _is_on(self, point_m: np.ndarray) -> bool:
+        """Whether a camera at a point stands on a place that may carry one."""
         place_m, above_m = self._surface.place_of(self._surface.left_of(point_m))
-        return bool(self._constraints.contains(place_m[None])[0]) and abs(float(above_m)) <= near_m
+        return bool(self._constraints.contains(place_m[None])[0]) and abs(float(above_m)) <= _STANDS_M
 
     def _pane_at(self, point_m: np.ndarray) -> Pane | None:
         place_m, above_m = self._surface.place_of(point_m)
@@ -307,9 +307,10 @@ class EditedRig:
     ) -> tuple[np.ndarray, Pane | None]:
         """Where a camera stands whose place shall be a point, and what it looks through there."""
         surface = self._surface
-        if outward is not None and not self._is_on(wanted_m, _NEAR_M):
-            return wanted_m + LEAST_STAND_OFF_M * outward, None
         at_m = self._constraints.project(surface.place_of(surface.left_of(wanted_m))[0][None])[0]
+        foot_m = surface.point_m(at_m, float(surface.height_at_m(at_m[None])[0]))
+        if outward is not None and math.dist(foot_m, surface.left_of(wanted_m)) > _NEAR_M:
+            return wanted_m + LEAST_STAND_OFF_M * outward, None
         above_m = self._height_offset_m
         if old is not None and self._is_on(old.position_m):
             above_m = float(surface.place_of(surface.left_of(old.position_m))[1])

@@ -93,7 +93,8 @@ _MESSAGE_CHARACTERS = 80
 _DRAGGED_RAYS_PX = 97
 """Rays along each side of the view of a camera while it is dragged."""
 
-_BALL_RADIUS_M = 0.11
+_BALL_RADIUS_M, _BALL_PX = 0.11, 6.0
+"""Of the balls by which cameras are dragged, and how near to the middle of one the mouse takes it at least."""
 
 
 class Inspector:
@@ -133,11 +134,11 @@ class Inspector:
         self.plotter.disable_anti_aliasing()
         self.plotter.renderer.SetUseOIT(False)
         self._drawn = list(state.rig.cameras)
-        self._balls: list[Any] = []
         self._labels = [self._add_label(index) for index in range(len(self._drawn))]
         self.is_putting = False
-        self._held_px = np.zeros(2)
-        self._heard: dict[str, Any] = {}
+        self._held: int | None = None  # the camera that is dragged
+        self._is_moved = False
+        self._off_px = np.zeros(2)  # how far its place on the skin is from the mouse
         self._ground: tuple[Ground, tuple[float, ...], Any] | None = None
         self._numbers: Any = None
         self._view: Any = None
@@ -287,12 +288,9 @@ class Inspector:
         for index in range(len(self.state.rig.cameras)):
             self._add_ball(index)
         plotter.render_window.AddObserver("WindowResizeEvent", lambda *_: self._put_view())
-        interactor = plotter.iren.interactor
-        for event in ("LeftButtonPressEvent", "LeftButtonReleaseEvent"):  # before the balls and the view hear of it
-            tag = interactor.AddObserver(
-                event, lambda *_, event=event: self._attempt(partial(self._clicked, event)), 1.0
-            )
-            self._heard[event] = interactor.GetCommand(tag)
+        self._listen("LeftButtonPressEvent", self._pressed)
+        self._listen("MouseMoveEvent", self._moved)
+        self._listen("LeftButtonReleaseEvent", self._released)
         if self._panel is not None:
             return
         said = ["click a ball: look through the camera", "drag it: move the camera"]
@@ -322,20 +320,22 @@ class Inspector:
             with self._one_render():
                 self._say(textwrap.fill(str(error), _MESSAGE_CHARACTERS))
 
+    def _listen(self, event: str, answer: Callable[[], bool]) -> None:
+        """Hear of the mouse before the view does, which does not hear of what is answered."""
+        interactor = self.plotter.iren.interactor
+
+        def hear(*_: object) -> None:
+            if answer():
+                command.AbortFlagOn()
+
+        command = interactor.GetCommand(interactor.AddObserver(event, hear, 1.0))
+
     def _add_ball(self, index: int) -> None:
-        """A ball around a camera that can be dragged."""
-        widget = self.plotter.add_sphere_widget(
-            lambda position_m: self._dropped(index, np.array(position_m)),
-            center=tuple(self.state.rig.cameras[index].position_m),
-            radius=_BALL_RADIUS_M,
-            color=hex_colour(camera_rgb(index)),
-            selected_color=hex_colour(camera_rgb(index)),
-            interaction_event="end",
-            test_callback=False,
-        )
-        widget.AddObserver("InteractionEvent", lambda ball, _: self._dragged(ball, index))
-        widget.AddObserver("StartInteractionEvent", lambda ball, _: self._grab(index))
-        self._balls.append(widget)
+        """A ball around a camera, by which it is dragged; it moves with what else is drawn of the camera."""
+        camera = self.state.rig.cameras[index]
+        ball = load_pyvista().Sphere(radius=_BALL_RADIUS_M, center=camera.position_m)
+        name = f"rig/{camera.name}/ball"
+        self.plotter.add_mesh(ball, color=hex_colour(camera_rgb(index)), ambient=0.4, name=name, reset_camera=False)
 
     def _add_label(self, index: int) -> Any:  # noqa: ANN401 (a pyvista.Label)
         """The name of a camera above its frustum."""
@@ -357,41 +357,69 @@ class Inspector:
             yield
         self.plotter.render()
 
-    def _pointed(self, off_px: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Where on the body the mouse points at, beside it by so much, and the normal there; None: beside the body."""
-        x, y = self.plotter.iren.interactor.GetEventPosition() + off_px
-        ends = []
+    def _mouse_px(self) -> np.ndarray:
+        """Where the mouse is, column and row from the lower left corner."""
+        return np.array(self.plotter.iren.interactor.GetEventPosition(), np.float64)
+
+    def _shown_px(self, point_m: np.ndarray) -> np.ndarray:
+        """The same of points [point, 3]."""
+        return np.abs(project_px(self.plotter, point_m) - [0.0, self.plotter.window_size[1]])
+
+    def _pointed(self) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """Where on the body the mouse points at, and the normal there; beside it as deep as the camera that is held."""
+        renderer, ends = self.plotter.renderer, []
         for depth in (0.0, 1.0):
-            self.plotter.renderer.SetDisplayPoint(x, y, depth)
-            self.plotter.renderer.DisplayToWorld()
-            *end, scale = self.plotter.renderer.GetWorldPoint()
+            renderer.SetDisplayPoint(*(self._mouse_px() + self._off_px), depth)
+            renderer.DisplayToWorld()
+            *end, scale = renderer.GetWorldPoint()
             ends.append(np.divide(end, scale))
-        near, far = ends
-        return self.state.skin_at(np.array([near, (far - near) / np.linalg.norm(far - near)]))
+        near, ray = ends[0], ends[1] - ends[0]
+        found = self.state.skin_at(np.array([near, ray / np.linalg.norm(ray)]))
+        if found is not None or self._held is None:
+            return found
+        ahead = np.array(self.plotter.camera.direction)
+        depth = (self.state.edits.foot_m(self._held) - near) @ ahead / (ray @ ahead)
+        return near + depth * ray, None
 
-    def _clicked(self, event: str) -> None:
-        """Put a camera where the mouse is clicked, where that was asked for; the balls hear nothing of such a click."""
-        found = self._pointed(np.zeros(2)) if self.is_putting else None
-        if found is not None:
-            self._heard[event].AbortFlagOn()
-            if event == "LeftButtonReleaseEvent":
-                self.is_putting = False
-                self.edit("put", *found, like=self.chosen or 0)
-
-    def _grab(self, camera: int) -> None:
-        """Begin to drag: what moves under the mouse is where the camera stands on the skin."""
-        foot_px = project_px(self.plotter, self.state.edits.foot_m(camera)[None])[0]
-        height_px = self.plotter.render_window.GetSize()[1]
-        self._held_px = [foot_px[0], height_px - foot_px[1]] - np.array(self.plotter.iren.interactor.GetEventPosition())
+    def _pressed(self) -> bool:
+        """Take the ball under the mouse, if there is one; where a camera is put, nothing else hears of the click."""
+        if self.is_putting:
+            return self._pointed() is not None
+        position_m = np.array([camera.position_m for camera in self.state.rig.cameras])
+        rim_m = position_m + _BALL_RADIUS_M * np.array(self.plotter.camera.up)
+        middle_px, rim_px = self._shown_px(position_m), self._shown_px(rim_m)
+        size_px = np.maximum(np.linalg.norm(rim_px - middle_px, axis=1), _BALL_PX)
+        away = np.linalg.norm(middle_px - self._mouse_px(), axis=1) / size_px
+        camera = int(away.argmin())
+        if away[camera] > 1.0:
+            return False
+        self._off_px = self._shown_px(self.state.edits.foot_m(camera)[None])[0] - self._mouse_px()
+        self._held, self._is_moved = camera, False
         self.choose(camera)
+        return True
 
-    def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
-        """Answer to a move of the mouse; the ball draws the window afterwards, so nothing else has to."""
+    def _moved(self) -> bool:
+        """Move the camera whose ball is held; what needs the detector waits for its release."""
+        if self._held is None:
+            return False
+        self._is_moved = True
         with no_render(self.plotter):
-            self._follow(camera, *(self._pointed(self._held_px) or (np.array(ball.GetCenter()),)))
+            self._follow(self._held, *(self._pointed() or ()))
+        self.plotter.iren.interactor.Render()
+        return True
 
-    def _dropped(self, camera: int, position_m: np.ndarray) -> None:
-        self.drop(camera, *(self._pointed(self._held_px) or (position_m,)))
+    def _released(self) -> bool:
+        """Let go of a ball, or put a camera."""
+        if self._held is not None:
+            if self._is_moved:
+                self.drop(self._held, *(self._pointed() or ()))
+            self._held, self._off_px = None, np.zeros(2)
+            return True
+        found = self._pointed() if self.is_putting else None
+        if found is not None:
+            self.is_putting = False
+            self._attempt(partial(self.edit, "put", *found, like=self.chosen or 0))
+        return found is not None
 
     def _follow(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
         """What a drag changes, not yet drawn."""
@@ -411,25 +439,22 @@ class Inspector:
             self._redraw()
 
     def _move(self) -> None:
-        """Draw cameras where they are now, and their balls; others than were drawn are drawn anew."""
+        """Draw cameras where they are now; others than were drawn are drawn anew."""
         cameras = self.state.rig.cameras
         if self.chosen is not None and self.chosen >= len(cameras):
             self.chosen = None
         if [each.name for each in cameras] != [each.name for each in self._drawn]:
-            for old, ball in zip(self._drawn, self._balls, strict=True):
+            for old in self._drawn:
                 remove(self.plotter, f"rig/{old.name}")
                 for name in (f"label/{old.name}", f"visibility/{old.name}"):
                     self.plotter.remove_actor(name)
-                ball.Off()
-                self.plotter.widgets.sphere_widgets.remove(ball)
-            self._drawn, self._balls = list(cameras), []
+            self._drawn = list(cameras)
             for index, camera in enumerate(cameras):
                 add_camera(self.plotter, camera, index)
                 self._add_ball(index)
             self._labels = [self._add_label(index) for index in range(len(cameras))]
-        for index, camera in enumerate(cameras):
+        for index in range(len(cameras)):
             self._draw_camera(index)
-            self._balls[index].SetCenter(*camera.position_m)
 
     def _draw_camera(self, index: int) -> None:
         """Move what is drawn of a camera to where it is now; only another lens is drawn again."""
@@ -442,6 +467,7 @@ class Inspector:
         else:
             remove(self.plotter, f"rig/{camera.name}")
             add_camera(self.plotter, camera, index)
+            self._add_ball(index)
             self._drawn[index] = camera
         self._labels[index].position = tuple(label_point_m(camera))
 
