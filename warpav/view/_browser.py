@@ -323,10 +323,7 @@ class BrowserInspector:
         if self._scorer is not None:
             faint = ("`opacity: ${is_scoring ? 0.4 : 1}`",)
             with html.Div(classes="d-flex score", v_if="score", style=faint):
-                for number, words in (
-                    ("expected", "expected misses of 100"),
-                    ("missed", "missed by the detector of 100"),
-                ):
+                for number, words in {"expected": "expected misses of 100", "missed": "detector misses of 100"}.items():
                     with html.Div(style="width: 50%; line-height: 1.2"):
                         html.Div("{{ score." + number + " }}", classes="text-h6", style="line-height: 1.2")
                         html.Div(words, classes="text-caption", style="line-height: 1.1")
