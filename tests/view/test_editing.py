@@ -110,6 +110,10 @@ def test_copies_and_mirror_images(edits):
     edits.pose(5, pitch_deg=7.0)
     again = edits.mirror(5)  # in place of the one that is there
     assert (len(again.rig.cameras), math.degrees(again.rig.cameras[6].pitch_rad)) == (7, pytest.approx(7.0))
+    edits.replace(Rig([dataclasses.replace(edits.rig.cameras[1], name="CAM_FRONT_LEFT"), edits.rig.cameras[0]]))
+    assert edits.mirror(0).rig.cameras[2].name == "CAM_FRONT_RIGHT"
+    edits.undo()
+    edits.undo()
     with pytest.raises(InputError, match="camera 'cam_0': expected one aside of the middle"):
         edits.mirror(0)
 
@@ -123,11 +127,11 @@ def test_steps_are_undone_and_taken_again(edits, tmp_path):
     removed = edits.remove(3)
     assert [each.name for each in removed.rig.cameras] == ["cam_0", "cam_1", "cam_2"]
     assert [edits.undo(), edits.undo(), edits.undo()] == [dragged, first, first]
-    assert (edits.can_undo, edits.can_redo) == (False, True)
+    assert (edits.past, len(edits.future)) == ((), 2)
     assert [edits.redo(), edits.redo(), edits.redo()] == [dragged, removed, removed]
     edits.undo()
     edits.copy(1)
-    assert (edits.can_undo, edits.can_redo) == (True, False)
+    assert (len(edits.past), edits.future) == (2, ())
     assert edits.save(tmp_path / "rig.yaml") == tmp_path / "rig.yaml"
     for ours, theirs in zip(read_rig(tmp_path / "rig.yaml").cameras, edits.rig.cameras, strict=True):
         np.testing.assert_allclose(ours.position_m, theirs.position_m, atol=1e-6)

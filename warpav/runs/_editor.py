@@ -23,7 +23,6 @@ from warpav.runs._mounts import objective_options
 from warpav.runs._networks import load_detector
 from warpav.runs._scene_set import load_scenes
 from warpav.scene import DeviceScene, Scene
-from warpav.sight import RuleCheck
 from warpav.view import Finding, RigScore
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ class RigScorer:
             share = shares_of(None if importance is None else np.concatenate(weight))
             expected = 100.0 * expected_miss_rate(np.concatenate(probability, axis=1), share)
         missed = 100.0 * float(1.0 - np.concatenate(found).mean()) if count else None
-        return RigScore(expected, missed, count, len(scenes))
+        return RigScore(expected, missed, count)
 
 
 class _Told(NullProgress):
@@ -130,13 +129,11 @@ def search_from(
     names = [camera.name for camera in rig.cameras]
     changes = {
         **_cameras_of(rig, more),
-        **_without_broken(rig, config, scenes[0].ego),
         "optimiser.search": "pool",
         "optimiser.pool_rounds": 0,
         "rig.freeze": [],
+        "rig.symmetric": False,  # cameras are moved one by one, in the order of the rig
     }
-    if config.rig.symmetric == "auto" or more:
-        changes["rig.symmetric"] = False
     placement = Placement(
         scenes,
         start=rig,
@@ -150,7 +147,8 @@ def search_from(
         start = placement.mount_pose_of(rig)
         task = PoolTask.of(placement.objective, placement.train, start=start, rules=placement.rules)
         for share, pose in polish_start(task):
-            tell("polish", share, _named(placement.mount.rig(pose), rig))
+            found = zip(placement.mount.rig(pose).cameras, names, strict=True)
+            tell("polish", share, Rig(replace(camera, name=name) for camera, name in found))
         return
     found = optimise(placement, progress=progress).found
     [new] = [each for each in found.cameras if each.name not in names]
@@ -158,15 +156,6 @@ def search_from(
     taken = [name for name in names if name == new.name or name.startswith(f"{new.name}_")]
     name = f"{new.name}_{len(taken) + 1}" if taken else new.name
     tell("polish", 1.0, Rig([*rig.cameras, replace(new, name=name)]))
-
-
-def _without_broken(rig: Rig, config: Config, ego: Mesh) -> dict[str, Any]:
-    """Options that leave out the design rules that a rig breaks: a search would not begin with it."""
-    options = {"own_body": ("own_body", "own_body_wide"), "crossing": ("crossing_deg",)}
-    margins = RuleCheck(rig, ego, config.rules.limits, device=checked_device(config.device)).margins
-    broken = [each.rule for each in margins if not each.is_kept]
-    names = [name for rule in broken for name in options.get(rule, (rule,)) if rule != "azimuth_gap"]
-    return {f"rules.{name}": None for name in names}
 
 
 def _cameras_of(rig: Rig, more: int) -> dict[str, Any]:
@@ -182,13 +171,3 @@ def _cameras_of(rig: Rig, more: int) -> dict[str, Any]:
     image = {"width_px": model.width_px, "height_px": model.height_px, "lens": str(model.lens)}
     image |= {"fov_deg": math.degrees(model.fov_rad), "distortion": list(model.distortion)}
     return {"rig.modules": None, **{f"camera.{name}": value for name, value in image.items()}}
-
-
-def _named(found: Rig, rig: Rig) -> Rig:
-    """A rig that was found, with the names and the order of the rig that it comes from."""
-    from scipy.optimize import linear_sum_assignment
-
-    pose, before = (np.stack([each.ego_from_camera for each in one.cameras]) for one in (found, rig))
-    _, row = linear_sum_assignment(np.linalg.norm(before[:, None] - pose[None], axis=(2, 3)))
-    pairs = zip([found.cameras[k] for k in row], rig.cameras, strict=True)
-    return Rig(replace(new, name=old.name) for new, old in pairs)

@@ -9,7 +9,6 @@ import asyncio
 import base64
 import contextlib
 import logging
-import math
 import os
 import secrets
 import time
@@ -85,18 +84,20 @@ class BrowserInspector:
             scorer_of: Gives what scores rigs on scenes, by their numbers; None: no score.
             search: As `warpav.runs._editor.search_from`; None: no searches.
         """
-        self._server, self.token, self.port = _new_server(), token, 0
+        self._server, self._html, self._v = _new_server()
+        self.token, self.port = token, 0
         self.state: Any = self._server.state
-        self.state.trame__title = f"{name} - warpav"
-        self.state.update({"lines": [], "message": "", "rig_name": name, "tab": "edit", "score": None, "searched": ""})
-        self.state.update({"share": 0.0, "is_scoring": False, "found": ""})
+        self.state.update({"trame__title": f"{name} - warpav", "rig_name": name, "tab": "edit", "lines": []})
+        self.state.update(
+            {"message": "", "score": None, "is_scoring": False, "searched": "", "found": "", "share": 0.0}
+        )
         self._search, self._job, self._last = search, None, None
         self._beside, self._scoring, self._quiet_until = ThreadPoolExecutor(1), 0, 0.0
+        self._scored: tuple[Any, ...] = ()
         self.inspector = inspector_of(self._tell)
         shown = self.inspector.state
         self.state.scored = list(range(min(_SCORED, shown.scene_count)))
-        self._scorer = None if scorer_of is None else scorer_of(shown.scene_of)
-        self._scored: tuple[Any, ...] = ()
+        self._scorer = scorer_of and scorer_of(shown.scene_of)
         self.inspector.plotter.show(auto_close=False, interactive=False)
         # every image that is sent is drawn for it: one more for each move of the mouse would take twice the time
         self.inspector.plotter.iren.interactor.EnableRenderOff()
@@ -164,12 +165,12 @@ class BrowserInspector:
     def _typed(self, number: str, text: str) -> None:
         """Set a number of the chosen camera's pose."""
         try:
-            value = float(text)
+            self.inspector.edit_chosen("pose", **{number: float(text)})
         except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InputError(f"{number}: expected a finite number, got {text!r}")
-        self.inspector.edit_chosen("pose", **{number: value})
+            raise InputError(f"{number}: expected a finite number, got {text!r}") from None
+
+    def _rescore(self, scenes: list[int]) -> None:
+        self.state.scored = scenes
 
     def _write(self) -> None:
         self.state.message = f"wrote {self.inspector.save()}"
@@ -196,14 +197,11 @@ class BrowserInspector:
 
         def show(done: Future[RigScore]) -> None:
             error = done.exception()
-            if isinstance(error, InterruptedError):
-                return
-            with self.state as state:
-                state.is_scoring = False
-                if error is not None:
-                    state.message = f"score: {error}"
-                else:
-                    state.score = _score_words(done.result())
+            if not isinstance(error, InterruptedError):
+                with self.state as state:
+                    state.is_scoring = False
+                    state.message = f"score: {error}" if error else state.message
+                    state.score = state.score if error else _score_words(done.result())
 
         self.state.is_scoring = True
         done = self._beside.submit(scorer, *wanted, breathe)
@@ -257,7 +255,11 @@ class BrowserInspector:
             state.on_body = inspector.shown_on_body or "off"
             state.frame, state.scene = shown.frame, shown.scene_index
             state.chosen = -1 if chosen is None else chosen
-            state.can_undo, state.can_redo, state.is_putting = edits.can_undo, edits.can_redo, inspector.is_putting
+            state.can_undo, state.can_redo, state.is_putting = (
+                bool(edits.past),
+                bool(edits.future),
+                inspector.is_putting,
+            )
             for name in SWITCHES:
                 state[f"shows_{name}"] = name in inspector.shows
             state.cameras = [
@@ -282,22 +284,23 @@ class BrowserInspector:
 
     def _make_page(self) -> None:
         from trame.ui.vuetify3 import VAppLayout
-        from trame.widgets import html, vtk
-        from trame.widgets import vuetify3 as v
+        from trame.widgets import vtk
 
+        html, v = self._html, self._v
         with VAppLayout(self._server, full_height=True) as layout:
             layout.root.theme = "light"
             with v.VNavigationDrawer(permanent=True, width=_PANEL_PX, classes="pa-3"):
                 with html.Div(classes="d-flex align-center"):
                     html.Div("{{ rig_name }}", classes="text-h6 text-truncate flex-grow-1", title=("rig_name",))
-                    self._icon("undo", partial(self.inspector.edit, "undo"), disabled=("!can_undo",))
-                    self._icon("redo", partial(self.inspector.edit, "redo"), disabled=("!can_redo",))
-                    self._icon("save", self._write, icon="content-save")
+                    style = {"variant": "text", "density": "comfortable"}
+                    for step in ("undo", "redo"):
+                        options = {"icon": f"mdi-{step}", "title": step, "disabled": (f"!can_{step}",), **style}
+                        self._button("", partial(self.inspector.edit, step), **options)
+                    self._button("", self._write, icon="mdi-content-save", title="save", **style)
                 html.Div("{{ message }}", v_if="message", classes="text-caption bg-amber-lighten-4 pa-1 my-1 message")
                 with v.VTabs(v_model=("tab",), density="compact", grow=True, show_arrows=False, classes="mb-2"):
-                    broken = "findings.filter(each => each.is_kept === false).length"
-                    titles = {"edit": "edit", "rules": "rules ({{ " + broken + " }} broken)", "view": "view"}
-                    for tab, title in titles.items():
+                    broken = "{{ findings.filter(each => each.is_kept === false).length }}"
+                    for tab, title in {"edit": "edit", "rules": f"rules ({broken} broken)", "view": "view"}.items():
                         v.VTab(title, value=tab, classes="text-none px-2", min_width=0)
                 with html.Div(v_show="tab === 'edit'"):
                     self._make_edit_tab()
@@ -317,48 +320,25 @@ class BrowserInspector:
         self._update = view.update
 
     def _make_edit_tab(self) -> None:
-        from trame.widgets import html
-        from trame.widgets import vuetify3 as v
-
+        html, v = self._html, self._v
         if self._scorer is not None:
-            faint = ("`opacity: ${is_scoring ? 0.4 : 1}`",)
-            with html.Div(classes="d-flex score", v_if="score", style=faint):
+            with html.Div(classes="d-flex score", v_if="score", style=("`opacity: ${is_scoring ? 0.4 : 1}`",)):
                 for number, words in {"expected": "expected misses of 100", "missed": "detector misses of 100"}.items():
                     with html.Div(style="width: 50%; line-height: 1.2"):
                         html.Div("{{ score." + number + " }}", classes="text-h6", style="line-height: 1.2")
                         html.Div(words, classes="text-caption", style="line-height: 1.1")
-            with (
-                v.VSelect(
-                    v_model=("scored",),
-                    label="scenes of the score",
-                    multiple=True,
-                    items=("scored_choices", self._scene_choices()),
-                    update_modelValue=partial(self._do, self._score),
-                    **_SMALL,
-                    classes="my-2",
-                ),
-                v.Template(v_slot_selection="{ index }"),
-            ):
-                html.Span(
-                    "{{ scored.length }} of {{ scored_choices.length }}{{ score ? score.of : '' }}", v_if="index === 0"
-                )
+            scored = self._select("scored", "scenes of the score", self._rescore, self._scenes, multiple=True)
+            with scored, v.Template(v_slot_selection="{ index }"):
+                html.Span("{{ scored.length }} of {{ scored_choices.length }}{{ score?.of }}", v_if="index === 0")
         html.Div("{{ line }}", v_for="line, k in lines.slice(1, 3)", key="k", classes="text-caption")
         self._make_findings("findings.filter(each => each.is_kept !== true)")
+        item = {"v_for": "camera, k in cameras", "key": "camera.name", "active": ("k === chosen",)}
         with (
             v.VList(density="compact", classes="py-0", style="max-height: 232px; overflow-y: auto"),
-            v.VListItem(
-                v_for="camera, k in cameras",
-                key="camera.name",
-                active=("k === chosen",),
-                click=(partial(self._do, self._look_through), "[k]"),
-                classes="camera px-1",
-            ),
+            v.VListItem(click=(partial(self._do, self._look_through), "[k]"), classes="camera px-1", **item),
         ):
             with v.Template(v_slot_prepend=True):
-                html.Img(
-                    src=("camera.image",),
-                    style=("`height: 38px; max-width: 68px; margin-right: 8px; border: 2px solid ${camera.colour}`",),
-                )
+                html.Img(src=("camera.image",), style=(_THUMBNAIL,))
             with html.Div(classes="d-flex justify-space-between"):
                 html.Div("{{ camera.name }}", classes="text-body-2 text-truncate name")
                 html.Div("{{ camera.own_body }}", classes="text-caption", title="share of its image")
@@ -366,20 +346,14 @@ class BrowserInspector:
         with html.Div(v_if="chosen >= 0", classes="mt-1"):
             with v.VRow(dense=True):
                 for name in NUMBERS:
-                    quantity, unit = name.split("_")
+                    label, step = name.replace("_", " [") + "]", 0.01 if name.endswith("_m") else 1
+                    typed = (partial(self._do, self._typed), f"['{name}', $event.target.value]")
                     with v.VCol(cols=4):
-                        v.VTextField(
-                            v_model=(name, ""),
-                            label=f"{quantity} [{unit}]",
-                            type="number",
-                            step=0.01 if unit == "m" else 1,
-                            change=(partial(self._do, self._typed), f"['{name}', $event.target.value]"),
-                            classes=name,
-                            **_SMALL,
-                        )
-            if self.inspector.state.edits.modules:
+                        options = {"label": label, "type": "number", "step": step, "classes": name, "change": typed}
+                        v.VTextField(v_model=(name, ""), **options, **_SMALL)
+            if modules := self.inspector.state.edits.modules:
                 action = partial(self.inspector.edit_chosen, "set_module")
-                self._select("module", "module", action, [(name, name) for name in self.inspector.state.edits.modules])
+                self._select("module", "module", action, [(name, name) for name in modules])
             with html.Div(classes="d-flex"):
                 for step in ("copy", "mirror", "remove"):
                     self._button(step, partial(self.inspector.edit_chosen, step))
@@ -391,32 +365,25 @@ class BrowserInspector:
                 v.VProgressLinear(model_value=("share",), height=6, color="primary", classes="my-1")
                 html.Div("{{ searched }}: {{ found }}, {{ share.toFixed(0) }} %", classes="text-caption")
                 self._button("stop, take the best so far", self._end, block=True)
-        said = "Click a ball to look through its camera, drag it along the skin."
-        html.Div(said, classes="text-caption mt-2")
+        html.Div("Click a ball to look through its camera, drag it along the skin.", classes="text-caption mt-2")
 
     def _make_findings(self, which: str) -> None:
         """A list of what constraints and rules say, each with what is asked."""
-        from trame.widgets import html
-        from trame.widgets import vuetify3 as v
-
         colour = "each.is_kept === false ? 'error' : each.is_kept ? 'success' : 'grey'"
-        icon = "each.is_kept === false ? 'mdi-alert-circle' : each.is_kept ? 'mdi-check-circle' : 'mdi-circle-small'"
-        with html.Div(v_for=f"each, k in {which}", key="k", classes="d-flex text-caption finding"):
-            v.VIcon("{{ " + icon + " }}", color=(colour,), size="small", classes="mr-1 mt-1")
-            html.Div(
-                "{{ each.about }}: {{ each.found }}{{ each.asked ? ', ' + each.asked : '' }}", style="line-height: 1.25"
-            )
+        icon = "{{ `mdi-${each.is_kept === false ? 'alert' : each.is_kept ? 'check' : 'information'}-circle` }}"
+        words = "{{ each.about }}: {{ each.found }}{{ each.asked ? ', ' + each.asked : '' }}"
+        with self._html.Div(v_for=f"each, k in {which}", key="k", classes="d-flex text-caption finding"):
+            self._v.VIcon(icon, color=(colour,), size="small", classes="mr-1 mt-1")
+            self._html.Div(words, style="line-height: 1.25")
 
     def _make_view_tab(self) -> None:
-        from trame.widgets import vuetify3 as v
-
         inspector, shown = self.inspector, self.inspector.state
         if shown.scene_count > 1:
-            self._select("scene", "scene", lambda number: inspector.show_scene(int(number)), self._scene_words())
+            self._select("scene", "scene", lambda number: inspector.show_scene(int(number)), self._scenes)
         if len(shown.frames) > 1:
             action = partial(self._do, lambda number: inspector.go_to(int(number)))
             ends = {"min": 0, "max": len(shown.frames) - 1, "step": 1, "end": (action, "[$event]")}
-            v.VSlider(v_model=("frame",), label="iteration", thumb_label=True, **ends, **_SMALL)
+            self._v.VSlider(v_model=("frame",), label="iteration", thumb_label=True, **ends, **_SMALL)
         heights = [(k, patch_words(height_m)) for k, height_m in enumerate(SHOWN_HEIGHTS_M)]
         self._select("coverage", "coverage", partial(_or_off, inspector.show_coverage), [*heights, _OFF])
         gain = [("gain", SWITCHES["further"].words)] if "further" in shown.known else []
@@ -424,49 +391,33 @@ class BrowserInspector:
         self._select("on_body", "body", partial(_or_off, inspector.show_on_body), on_body)
         for name, switch in SWITCHES.items():
             if switch.needs is None or switch.needs in shown.known:
-                v.VSwitch(
-                    v_model=(f"shows_{name}",),
-                    label=switch.words,
-                    color="primary",
-                    classes="ml-2",
-                    update_modelValue=partial(self._do, inspector.toggle, name),
-                    **_SMALL,
-                )
+                toggled = partial(self._do, inspector.toggle, name)
+                options = {"label": switch.words, "color": "primary", "classes": "ml-2", **_SMALL}
+                self._v.VSwitch(v_model=(f"shows_{name}",), update_modelValue=toggled, **options)
 
-    def _scene_words(self) -> list[tuple[int, str]]:
+    @property
+    def _scenes(self) -> list[tuple[Any, str]]:
         return [(k, f"scene {k + 1}") for k in range(self.inspector.state.scene_count)]
 
-    def _scene_choices(self) -> list[dict[str, Any]]:
-        return [{"value": value, "title": title} for value, title in self._scene_words()]
-
-    def _select(self, name: str, label: str, action: Callable[[Any], object], choices: list[tuple[Any, str]]) -> None:
-        from trame.widgets import vuetify3 as v
-
-        v.VSelect(
-            v_model=(name,),
-            label=label,
-            items=(f"{name}_choices", [{"value": value, "title": title} for value, title in choices]),
-            update_modelValue=(partial(self._do, action), "[$event]"),
-            classes="my-2",
-            **_SMALL,
-        )
+    def _select(
+        self,
+        name: str,
+        label: str,
+        action: Callable[[Any], object],
+        choices: list[tuple[Any, str]],
+        **options: Any,  # noqa: ANN401 (of Vuetify)
+    ) -> Any:  # noqa: ANN401 (a widget)
+        items = (f"{name}_choices", [{"value": value, "title": title} for value, title in choices])
+        chosen = (partial(self._do, action), "[$event]")
+        options |= {"label": label, "items": items, "classes": "my-2", **_SMALL}
+        return self._v.VSelect(v_model=(name,), update_modelValue=chosen, **options)
 
     def _button(self, label: str, action: Callable[[], object], **options: Any) -> None:  # noqa: ANN401 (of Vuetify)
-        from trame.widgets import vuetify3 as v
-
-        v.VBtn(label, size="small", classes="ma-1 text-none", click=partial(self._do, action), **options)
-
-    def _icon(self, label: str, action: Callable[[], object], *, icon: str | None = None, **options: Any) -> None:  # noqa: ANN401
-        from trame.widgets import vuetify3 as v
-
-        click = partial(self._do, action)
-        style = {"variant": "text", "density": "comfortable", "size": "small"}
-        v.VBtn(icon=f"mdi-{icon or label}", title=label, click=click, **style, **options)
+        self._v.VBtn(label, size="small", classes="ma-1 text-none", click=partial(self._do, action), **options)
 
 
 _PANEL_PX = 340
 _THUMBNAIL = "`height: 38px; max-width: 68px; margin-right: 8px; border: 2px solid ${camera.colour}`"
-_FINDING = "{{ each.about }}: {{ each.found }}{{ each.asked ? ', ' + each.asked : '' }}"
 _SMALL = {"density": "compact", "hide_details": True}
 _OFF = ("off", "off")
 
@@ -481,17 +432,17 @@ def _or_off(action: Callable[[Any], object], wanted: Any) -> None:  # noqa: ANN4
     action(None if wanted == "off" else wanted)
 
 
-def _new_server() -> Server:
-    """A server of its own."""
+def _new_server() -> tuple[Server, Any, Any]:
+    """A server of its own, and the widgets of its page: those of HTML and of Vuetify."""
     try:
         from trame.app import get_server
-        from trame.widgets import vtk, vuetify3  # noqa: F401 (asked for before anything is made)
+        from trame.widgets import html, vtk, vuetify3  # noqa: F401 (asked for before anything is made)
     except ImportError as error:
         raise InputError(
             f"the viewer in a browser: expected the extra web, got: {error}; {install_text('web')}, or write "
             "a page with --out rig.html"
         ) from None
-    return get_server(f"warpav-{secrets.token_hex(4)}", client_type="vue3")
+    return get_server(f"warpav-{secrets.token_hex(4)}", client_type="vue3"), html, vuetify3
 
 
 @contextlib.contextmanager

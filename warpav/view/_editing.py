@@ -55,14 +55,12 @@ class Finding(NamedTuple):
     is_kept: bool | None  # None: nothing is asked
 
 
-@dataclass(frozen=True)
-class RigScore:
+class RigScore(NamedTuple):
     """What a rig finds in some scenes."""
 
     expected_per_100: float | None  # road users that it is expected to miss, of 100; None where that is not known
     missed_per_100: float | None  # that the detector misses in all images, at its threshold; None without road users
     objects: int
-    scenes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +89,11 @@ class Edit:
         return found
 
 
+def _other_side(word: re.Match[str]) -> str:
+    side = "right" if word[0].lower() == "left" else "left"
+    return side.upper() if word[0].isupper() else side.title() if word[0].istitle() else side
+
+
 class EditedRig:
     """A rig and its history; positions in the ego frame [m].
 
@@ -110,52 +113,37 @@ class EditedRig:
         self.modules = {module.name: module for module in modules}
         self._constraints, self._surface = constraints, constraints.surface
         self._height_offset_m, self._judge = height_offset_m, judge
-        self._edit = self._edit_of(rig, None)
-        self._past: tuple[Edit, ...] = ()
-        self._future: tuple[Edit, ...] = ()
+        self.edit = Edit(rig, None, constraints, judge)  # the last step
+        self.past: tuple[Edit, ...] = ()  # the steps before, the last one last
+        self.future: tuple[Edit, ...] = ()  # those that were undone, the last one first
         self._is_held = False
-
-    @property
-    def edit(self) -> Edit:
-        """The last step."""
-        return self._edit
 
     @property
     def rig(self) -> Rig:
         """The rig as it is now."""
-        return self._edit.rig
-
-    @property
-    def can_undo(self) -> bool:
-        """Whether a step was taken."""
-        return bool(self._past)
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether a step was undone."""
-        return bool(self._future)
+        return self.edit.rig
 
     def undo(self) -> Edit:
         """Go back by a step; at the beginning nothing happens."""
-        if self._past:
-            *past, edit = self._past
-            self._past, self._future, self._edit = tuple(past), (self._edit, *self._future), edit
+        if self.past:
+            *past, edit = self.past
+            self.past, self.future, self.edit = tuple(past), (self.edit, *self.future), edit
         self._is_held = False
-        return self._edit
+        return self.edit
 
     def redo(self) -> Edit:
         """Take the step again that was undone last; nothing happens where there is none."""
-        if self._future:
-            edit, *future = self._future
-            self._past, self._future, self._edit = (*self._past, self._edit), tuple(future), edit
-        return self._edit
+        if self.future:
+            edit, *future = self.future
+            self.past, self.future, self.edit = (*self.past, self.edit), tuple(future), edit
+        return self.edit
 
     def replace(self, rig: Rig, camera: int | None = None, *, held: bool = False) -> Edit:
         """Go on with another rig."""
         if not self._is_held:
-            self._past = (*self._past, self._edit)
-        self._is_held, self._future, self._edit = held, (), self._edit_of(rig, camera)
-        return self._edit
+            self.past = (*self.past, self.edit)
+        self._is_held, self.future, self.edit = held, (), Edit(rig, camera, self._constraints, self._judge)
+        return self.edit
 
     def put(self, point_m: np.ndarray, outward: np.ndarray, *, like: int = 0, module: str | None = None) -> Edit:
         """Add a camera at a point of the skin with its outward normal, both [3], that looks outwards and level.
@@ -185,7 +173,7 @@ class EditedRig:
         old = self.rig.cameras[camera]
         wanted_m = np.array([*np.asarray(point_m, np.float64), old.position_m[2]])[:3]
         position_m, pane = self._place(wanted_m, outward, old)
-        return self._changed(camera, held=held, position_m=position_m, behind_glass=pane)
+        return self._with(camera, dataclasses.replace(old, position_m=position_m, behind_glass=pane), held=held)
 
     def pose(self, camera: int, **numbers: float) -> Edit:
         """Set some of `NUMBERS`; what is typed is taken as it is, and constraints say what they think of it."""
@@ -203,7 +191,7 @@ class EditedRig:
         moved = dataclasses.replace(old, position_m=np.array(position_m))
         if not np.array_equal(moved.position_m, old.position_m):
             changes |= {"position_m": moved.position_m, "behind_glass": self._pane_at(moved.position_m)}
-        return self._changed(camera, **changes)
+        return self._with(camera, dataclasses.replace(old, **changes))
 
     def set_module(self, camera: int, name: str) -> Edit:
         """Put another module in a camera's place; position, angles and near plane stay."""
@@ -234,8 +222,7 @@ class EditedRig:
         image = mirror_image(old)
         if np.abs(image.ego_from_camera - old.ego_from_camera).max() < _LEAST_STEP_M:
             raise InputError(f"camera {old.name!r}: expected one aside of the middle, as it is its own mirror image")
-        words = [{"left": "right", "right": "left"}.get(word, word) for word in old.name.split("_")]
-        name = "_".join(words)
+        name = re.sub("left|right", _other_side, old.name, flags=re.IGNORECASE)
         names = [each.name for each in self.rig.cameras]
         if image.behind_glass is not None:
             image = dataclasses.replace(image, behind_glass=self._pane_at(image.position_m) or image.behind_glass)
@@ -265,13 +252,6 @@ class EditedRig:
         """Write the rig as it is now."""
         write_rig(self.rig, path)
         return Path(path)
-
-    def _edit_of(self, rig: Rig, camera: int | None) -> Edit:
-        return Edit(rig, camera, self._constraints, self._judge)
-
-    def _changed(self, camera: int, *, held: bool = False, **changes: object) -> Edit:
-        old = self.rig.cameras[camera]
-        return self._with(camera, dataclasses.replace(old, **changes), held=held)  # pyright: ignore[reportArgumentType]
 
     def _with(self, camera: int, new: RigCamera, *, held: bool = False) -> Edit:
         cameras = list(self.rig.cameras)

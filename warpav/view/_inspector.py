@@ -402,24 +402,26 @@ class Inspector:
         """Move the camera whose ball is held; what needs the detector waits for its release."""
         if self._held is None:
             return False
-        self._is_moved = True
+        found, self._is_moved = self._pointed(), True
+        assert found is not None
         with no_render(self.plotter):
-            self._follow(self._held, *(self._pointed() or ()))
+            self._follow(self._held, *found)
         self.plotter.iren.interactor.Render()
         return True
 
     def _released(self) -> bool:
         """Let go of a ball, or put a camera."""
-        if self._held is not None:
+        held, found = self._held, self._pointed()
+        if held is not None and found is not None:
             if self._is_moved:
-                self.drop(self._held, *(self._pointed() or ()))
+                self.drop(held, *found)
             self._held, self._off_px = None, np.zeros(2)
-            return True
-        found = self._pointed() if self.is_putting else None
-        if found is not None:
+        elif self.is_putting and found is not None:
             self.is_putting = False
             self._attempt(partial(self.edit, "put", *found, like=self.chosen or 0))
-        return found is not None
+        else:
+            return False
+        return True
 
     def _follow(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
         """What a drag changes, not yet drawn."""

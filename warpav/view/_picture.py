@@ -324,7 +324,7 @@ def add_range_rings(
     for radius in radius_m:
         top_m = np.full(len(angle), _GROUND_CUT_M + _GRADE_MAX * radius)
         ring_m = np.column_stack([radius * np.cos(angle) + middle_m[0], radius * np.sin(angle) + middle_m[1], top_m])
-        down = np.tile(np.float32([0.0, 0.0, -1.0]), (len(angle), 1))
+        down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(angle), 1))
         fall_m = np.asarray(caster.run(ring_m.astype(np.float32), down, query="DISTANCE"), np.float64)
         ring_m[:, 2] -= np.where(fall_m < 2.0 * top_m, fall_m, top_m) - _RING_LIFT_M
         plotter.add_mesh(load_pyvista().lines_from_points(ring_m), **style, name=f"rings/{radius:g} m")
