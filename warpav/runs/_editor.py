@@ -165,7 +165,7 @@ def _cameras_of(rig: Rig, more: int) -> dict[str, Any]:
         counts = Counter(str(each.module) for each in rig.cameras)
         return {"rig.modules": {name: [count, count + more] for name, count in counts.items()}}
     if len(models) > 1:
-        sizes = ", ".join(sorted({f"{each.size_text} ({each.lens_text})" for each in models}))
+        sizes = ", ".join(f"{each.size_text} {each.lens_text} of {math.degrees(each.fov_rad):.0f}°" for each in models)
         raise InputError(f"rig: expected cameras of one model, or a module for each, got {sizes}; choose modules")
     [model] = models
     image = {"width_px": model.width_px, "height_px": model.height_px, "lens": str(model.lens)}

@@ -197,15 +197,14 @@ class BrowserInspector:
 
         def show(done: Future[RigScore]) -> None:
             error = done.exception()
-            if not isinstance(error, InterruptedError):
-                with self.state as state:
-                    state.is_scoring = False
-                    state.message = f"score: {error}" if error else state.message
-                    state.score = state.score if error else _score_words(done.result())
+            with self.state as state:
+                state.is_scoring = False
+                state.message = f"score: {error}" if error else state.message
+                state.score = state.score if error else _score_words(done.result())
 
         self.state.is_scoring = True
         done = self._beside.submit(scorer, *wanted, breathe)
-        done.add_done_callback(lambda done: loop.call_soon_threadsafe(show, done))
+        done.add_done_callback(lambda done: number == self._scoring and loop.call_soon_threadsafe(show, done))
 
     def _begin(self, what: str) -> None:
         """Begin a search with the rig as it is now."""
@@ -357,20 +356,22 @@ class BrowserInspector:
             with html.Div(classes="d-flex"):
                 for step in ("copy", "mirror", "remove"):
                     self._button(step, partial(self.inspector.edit_chosen, step))
-        self._button("{{ is_putting ? 'click the body ...' : 'put a camera' }}", self.inspector.put, block=True)
+        self._button(
+            "{{ is_putting ? 'click the body ...' : 'put a camera' }}", self.inspector.put, width=_PANEL_PX - 28
+        )
         if self._search is not None:
             for what, words in _SEARCHES.items():
-                self._button(words, partial(self._begin, what), block=True, disabled=("searched !== ''",))
+                self._button(words, partial(self._begin, what), width=_PANEL_PX - 28, disabled=("searched !== ''",))
             with html.Div(v_if="searched", classes="search"):
                 v.VProgressLinear(model_value=("share",), height=6, color="primary", classes="my-1")
                 html.Div("{{ searched }}: {{ found }}, {{ share.toFixed(0) }} %", classes="text-caption")
-                self._button("stop, take the best so far", self._end, block=True)
+                self._button("stop, take the best so far", self._end, width=_PANEL_PX - 28)
         html.Div("Click a ball to look through its camera, drag it along the skin.", classes="text-caption mt-2")
 
     def _make_findings(self, which: str) -> None:
         """A list of what constraints and rules say, each with what is asked."""
         colour = "each.is_kept === false ? 'error' : each.is_kept ? 'success' : 'grey'"
-        icon = "{{ `mdi-${each.is_kept === false ? 'alert' : each.is_kept ? 'check' : 'information'}-circle` }}"
+        icon = "{{ each.is_kept === null ? 'mdi-information' : `mdi-${each.is_kept ? 'check' : 'alert'}-circle` }}"
         words = "{{ each.about }}: {{ each.found }}{{ each.asked ? ', ' + each.asked : '' }}"
         with self._html.Div(v_for=f"each, k in {which}", key="k", classes="d-flex text-caption finding"):
             self._v.VIcon(icon, color=(colour,), size="small", classes="mr-1 mt-1")
@@ -413,7 +414,7 @@ class BrowserInspector:
         return self._v.VSelect(v_model=(name,), update_modelValue=chosen, **options)
 
     def _button(self, label: str, action: Callable[[], object], **options: Any) -> None:  # noqa: ANN401 (of Vuetify)
-        self._v.VBtn(label, size="small", classes="ma-1 text-none", click=partial(self._do, action), **options)
+        self._v.VBtn(label, size="small", classes="my-1 mr-1 text-none", click=partial(self._do, action), **options)
 
 
 _PANEL_PX = 340

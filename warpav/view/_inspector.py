@@ -87,8 +87,8 @@ _BOTTOM = 0.1  # above the lines of help
 
 _PARTS = ("descent", "further", "gain")  # what is known of the rigs of a run alone
 TURN_DEG = 2.0
-_MESSAGE_CHARACTERS = 80
-"""Longest line of a message in the window."""
+_MESSAGE_CHARACTERS, _HELP_CHARACTERS = 80, 120
+"""Longest lines of a message and of the help in the window."""
 
 _DRAGGED_RAYS_PX = 97
 """Rays along each side of the view of a camera while it is dragged."""
@@ -295,9 +295,8 @@ class Inspector:
             return
         said = ["click a ball: look through the camera", "drag it: move the camera"]
         said += [*(f"{key}: {words}" for key, (words, _) in self.keys.items()), "q: quit"]
-        third = -(-len(said) // 3)
-        lines = ("   ".join(said[k : k + third]) for k in range(0, len(said), third))
-        add_text(plotter, "\n".join(lines), (0.02, 0.012), size=8, name="help")
+        lines = textwrap.fill("   ".join(each.replace(" ", "\xa0") for each in said), _HELP_CHARACTERS)
+        add_text(plotter, lines.replace("\xa0", " "), (0.02, 0.012), size=8, name="help")
         if count > 1:
             place = {"pointa": (0.66, 0.93), "pointb": (0.97, 0.93), "color": hex_colour(INK_RGB), "fmt": "%.0f"}
             plotter.add_slider_widget(
