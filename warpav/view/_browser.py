@@ -356,16 +356,14 @@ class BrowserInspector:
             with html.Div(classes="d-flex"):
                 for step in ("copy", "mirror", "remove"):
                     self._button(step, partial(self.inspector.edit_chosen, step))
-        self._button(
-            "{{ is_putting ? 'click the body ...' : 'put a camera' }}", self.inspector.put, width=_PANEL_PX - 28
-        )
+        self._button("{{ is_putting ? 'click the body ...' : 'put a camera' }}", self.inspector.put, width=_WIDE_PX)
         if self._search is not None:
             for what, words in _SEARCHES.items():
-                self._button(words, partial(self._begin, what), width=_PANEL_PX - 28, disabled=("searched !== ''",))
+                self._button(words, partial(self._begin, what), width=_WIDE_PX, disabled=("searched !== ''",))
             with html.Div(v_if="searched", classes="search"):
                 v.VProgressLinear(model_value=("share",), height=6, color="primary", classes="my-1")
                 html.Div("{{ searched }}: {{ found }}, {{ share.toFixed(0) }} %", classes="text-caption")
-                self._button("stop, take the best so far", self._end, width=_PANEL_PX - 28)
+                self._button("stop, take the best so far", self._end, width=_WIDE_PX)
         html.Div("Click a ball to look through its camera, drag it along the skin.", classes="text-caption mt-2")
 
     def _make_findings(self, which: str) -> None:
@@ -417,7 +415,7 @@ class BrowserInspector:
         self._v.VBtn(label, size="small", classes="my-1 mr-1 text-none", click=partial(self._do, action), **options)
 
 
-_PANEL_PX = 340
+_PANEL_PX, _WIDE_PX = 340, 312
 _THUMBNAIL = "`height: 38px; max-width: 68px; margin-right: 8px; border: 2px solid ${camera.colour}`"
 _SMALL = {"density": "compact", "hide_details": True}
 _OFF = ("off", "off")
