@@ -72,13 +72,20 @@ def address(folder):
         yield found
 
 
-@pytest.fixture(scope="module")
-def browser(address):
+@contextlib.contextmanager
+def shown(address):
+    """A browser that shows the page of a rig of four cameras."""
     with Chromium(CHROMIUM) as browser:
         browser.open(address, width_px=1280, height_px=720)
         browser.wait_for("document.querySelectorAll('.camera').length === 4")
         browser.wait_for("[...document.images].some(each => each.naturalWidth > 300)")
         settle(browser)
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def browser(address):
+    with shown(address) as browser:
         yield browser
 
 
@@ -154,8 +161,13 @@ def test_the_mouse_turns_the_view(browser):
 
 
 @pytest.mark.slow
-def test_a_rig_is_edited(browser, folder):
+def test_a_rig_is_edited(folder):
     """Put, dragged, typed, mirrored, undone, polished, given one more camera, saved; each step is the file's."""
+    with served(folder, "street.glb", "--rig", "four.yaml", "--port", "0", *SMALL) as found, shown(found) as browser:
+        edit(browser, folder)
+
+
+def edit(browser, folder):
     first = rig(4).cameras
     click(browser, "put a camera")
     browser.wait_for("[...document.querySelectorAll('button')].some(each => /click the body/.test(each.textContent))")

@@ -13,7 +13,8 @@ from warpav.optimisation import ZoneAndSpacing
 from warpav.rig import NORMALS, Rig, Zone, builtin_modules, chart_of, first_hit, ray_caster, read_rig
 from warpav.scene import town_scene
 from warpav.thesis import BoundsAndSpacing
-from warpav.view import EditedRig, Finding
+from warpav.view import Finding
+from warpav.view._editing import EditedRig
 
 SURFACE = flat_surface([0.0, -0.6], [2.6, 0.6], height_m=1.5)
 HEIGHT_M = 0.08
