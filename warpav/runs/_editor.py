@@ -19,7 +19,7 @@ from warpav.optimisation import CameraProbability, Importance, PoolTask, RigObse
 from warpav.rig import Rig, RigCamera
 from warpav.runs._check import rule_items
 from warpav.runs._detector_fit import ensure_fit
-from warpav.runs._mounts import objective_options
+from warpav.runs._mounts import objective_options, with_shared_model
 from warpav.runs._networks import load_detector
 from warpav.runs._scene_set import load_scenes
 from warpav.scene import DeviceScene, Scene
@@ -34,6 +34,10 @@ _Item = TypeVar("_Item")
 
 _KEPT_SCENES, _KEPT_CAMERAS = 40, 4096
 """Scenes that are held in memory, and cameras of which it is known what they find in a scene."""
+
+
+_AWAY_M = 0.4
+"""How far behind the first camera one more begins [m]."""
 
 
 def judge_of(config: Config, ego: Mesh) -> Callable[[Rig], list[Finding]]:
@@ -134,25 +138,23 @@ def search_from(
         "rig.freeze": [],
         "rig.symmetric": False,  # cameras are moved one by one, in the order of the rig
     }
-    placement = Placement(
-        scenes,
-        start=rig,
-        cameras=len(names) + more,
-        freeze=names if more else (),
-        config=config.replace(changes),
-    )
+    config = config.replace(changes)
+    rig = with_shared_model(rig, config)
+    first = rig.cameras[0]
+    added = [replace(first, name="added", position_m=first.position_m - [_AWAY_M, 0.0, 0.0])] * more
+    start = Rig([*rig.cameras, *added])
+    placement = Placement(scenes, start=start, cameras=len(start.cameras), freeze=names if more else (), config=config)
     progress = _Told(lambda stage, share: tell(stage, share, None))
     placement.prepare(progress)
     if not more:
-        start = placement.mount_pose_of(rig)
-        task = PoolTask.of(placement.objective, placement.train, start=start, rules=placement.rules)
+        pose = placement.mount_pose_of(rig)
+        task = PoolTask.of(placement.objective, placement.train, start=pose, rules=placement.rules)
         for share, pose in polish_start(task):
             found = zip(placement.mount.rig(pose).cameras, names, strict=True)
             tell("polish", share, Rig(replace(camera, name=name) for camera, name in found))
         return
     found = optimise(placement, progress=progress).found
-    [new] = [each for each in found.cameras if each.name not in names]
-    [new] = named_by_direction([new])
+    [new] = named_by_direction([each for each in found.cameras if each.name not in names])
     taken = [name for name in names if name == new.name or name.startswith(f"{new.name}_")]
     name = f"{new.name}_{len(taken) + 1}" if taken else new.name
     tell("polish", 1.0, Rig([*rig.cameras, replace(new, name=name)]))
