@@ -22,13 +22,12 @@ from warpav.core.errors import InputError
 from warpav.rig import read_rig, write_rig
 from warpav.scene import write_scene
 from warpav.view import _browser as module
-from warpav.view._inspector import TURN_DEG
 from warpav.view._palette import camera_rgb
 
 pytest.importorskip("trame.app")
 CHROMIUM = find_chromium()
 pytestmark = [needs_opengl, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")]
-PANEL_PX = 330
+PANEL_PX = 345
 SMALL = ["camera.width_px=64", "camera.height_px=64", "detector.input_px=64"]
 
 
@@ -73,13 +72,20 @@ def address(folder):
         yield found
 
 
-@pytest.fixture(scope="module")
-def browser(address):
+@contextlib.contextmanager
+def shown(address):
+    """A browser that shows the page of a rig of four cameras."""
     with Chromium(CHROMIUM) as browser:
         browser.open(address, width_px=1280, height_px=720)
         browser.wait_for("document.querySelectorAll('.camera').length === 4")
         browser.wait_for("[...document.images].some(each => each.naturalWidth > 300)")
         settle(browser)
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def browser(address):
+    with shown(address) as browser:
         yield browser
 
 
@@ -115,17 +121,18 @@ def pixels(browser):
 
 def click(browser, text):
     browser.evaluate(
-        "[...document.querySelectorAll('label, button, .camera')]"
-        f".find(each => each.textContent.trim().toLowerCase() === {text!r}).click()"
+        "[...document.querySelectorAll('label, button, .camera .name')].find(each => "
+        f"[each.textContent.trim().toLowerCase(), each.title].includes({text!r})).click()"
     )
 
 
 def lines(browser):
-    return browser.evaluate("document.querySelector('.v-navigation-drawer').innerText")
+    return browser.evaluate("document.querySelector('.v-navigation-drawer').textContent")
 
 
 def test_the_rig_is_shown_with_its_numbers(browser):
     assert "scene test, 2 vehicles" in lines(browser)
+    assert browser.evaluate("document.title") == "four - warpav"
     assert len(np.unique(pixels(browser)[::8, ::8].reshape(-1, 3), axis=0)) > 50
 
 
@@ -153,25 +160,73 @@ def test_the_mouse_turns_the_view(browser):
     wait_until(lambda: np.abs(pixels(browser) - before).mean() > 3.0)
 
 
-def test_a_camera_is_dragged_and_the_rig_is_written(browser, folder):
-    """The ball of a camera follows the mouse along the roof, and the numbers follow the camera."""
-    click(browser, "cam_0")
-    browser.wait_for("[...document.querySelectorAll('button')].some(each => /turn left/i.test(each.textContent))")
-    click(browser, "turn left")
-    click(browser, "write the rig")
-    wait_until((folder / "rig.yaml").is_file)
-    written = read_rig(folder / "rig.yaml").cameras
-    assert written[0].yaw_rad == pytest.approx(rig(4).cameras[0].yaw_rad + np.radians(TURN_DEG), abs=1e-6)
+@pytest.mark.slow
+def test_a_rig_is_edited(folder):
+    """Put, dragged, typed, mirrored, undone, polished, given one more camera, saved; each step is the file's."""
+    with served(folder, "street.glb", "--rig", "four.yaml", "--port", "0", *SMALL) as found, shown(found) as browser:
+        edit(browser, folder)
+
+
+def edit(browser, folder):
+    first = rig(4).cameras
+    click(browser, "put a camera")
+    browser.wait_for("[...document.querySelectorAll('button')].some(each => /click the body/.test(each.textContent))")
+    middle_px = np.mean([ball(browser, 0), ball(browser, 2)], axis=0)  # of the roof
+    browser.mouse("move", *middle_px, held=False)
+    for kind in ("press", "release"):
+        browser.mouse(kind, *middle_px)
+    browser.wait_for("document.querySelectorAll('.camera').length === 5")
+    put = saved(browser, folder)
+    assert [each.name for each in put[:4]] == [each.name for each in first]
+    assert 0.5 < put[4].position_m[0] < 2.1
     settle(browser)
-    ball_px = ball(browser, 0)
-    drag(browser, ball_px, (ball_px[0] + 25, ball_px[1] + 10))
+    at_px = ball(browser, 3)
+    drag(browser, at_px, (at_px[0] + 25, at_px[1] + 10))
+    wait_until(lambda: number(browser, "x_m") != f"{first[3].position_m[0]:g}")
     settle(browser)
-    click(browser, "write the rig")
-    wait_until((folder / "rig-2.yaml").is_file)
-    moved = read_rig(folder / "rig-2.yaml").cameras
-    far_m = [np.linalg.norm(a.position_m - b.position_m) for a, b in zip(moved, written, strict=True)]
-    assert max(far_m) > 0.05
-    assert sum(each > 1e-6 for each in far_m) == 1
+    dragged = saved(browser, folder)
+    far_m = [np.linalg.norm(a.position_m - b.position_m) for a, b in zip(dragged, put, strict=True)]
+    assert [each > 0.05 for each in far_m] == [False, False, False, True, False]
+    type_number(browser, "y_m", -0.5)
+    type_number(browser, "pitch_deg", 12)
+    typed = saved(browser, folder)[3]
+    assert (typed.position_m[1], np.degrees(typed.pitch_rad)) == pytest.approx((-0.5, 12.0), abs=1e-5)
+    type_number(browser, "roll_deg", "")
+    browser.wait_for("/roll_deg: expected a finite number/.test(document.querySelector('.message').textContent)")
+    click(browser, "mirror")
+    browser.wait_for("document.querySelectorAll('.camera').length === 6")
+    np.testing.assert_allclose(saved(browser, folder)[5].position_m, typed.position_m * [1, -1, 1], atol=1e-5)
+    click(browser, "undo")
+    browser.wait_for("document.querySelectorAll('.camera').length === 5")
+    browser.wait_for("/\\d/.test(document.querySelector('.score').textContent)")
+    before = saved(browser, folder)
+    click(browser, "polish from here")
+    browser.wait_for("document.querySelector('.search') !== null")
+    browser.wait_for("document.querySelector('.search') === null")
+    polished = saved(browser, folder)
+    assert [each.name for each in polished] == [each.name for each in before]
+    assert any((a.position_m != b.position_m).any() for a, b in zip(polished, before, strict=True))
+    click(browser, "best place for one more")
+    browser.wait_for("document.querySelectorAll('.camera').length === 6")
+    assert [each.name for each in saved(browser, folder)[:5]] == [each.name for each in before]
+
+
+def saved(browser, folder):
+    """The cameras of the rig as the page saves it now."""
+    files = set(folder.glob("rig*.yaml"))
+    click(browser, "save")
+    wait_until(lambda: set(folder.glob("rig*.yaml")) - files)
+    [file] = set(folder.glob("rig*.yaml")) - files
+    return read_rig(file).cameras
+
+
+def number(browser, name):
+    return browser.evaluate(f"(document.querySelector('.{name} input') || {{}}).value")
+
+
+def type_number(browser, name, value):
+    events = "for (const name of ['input', 'change']) each.dispatchEvent(new Event(name, { bubbles: true }));"
+    browser.evaluate(f"((each) => {{ each.value = '{value}'; {events} }})(document.querySelector('.{name} input'))")
 
 
 def ball(browser, camera):

@@ -10,7 +10,7 @@ from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
 from warpav.optimisation import FurtherCameras, ObjectiveOptions, RigObserver
 from warpav.raster.decide import Occlusion
-from warpav.rig import Rig, builtin_modules, read_rig
+from warpav.rig import LEAST_STAND_OFF_M, Rig, builtin_modules, read_rig
 from warpav.sight import PATCH_M, Ground, Requirement, check_requirements
 from warpav.sight._requirement import SIZES_M, Band, TestObject
 from warpav.thesis import BoundsAndSpacing
@@ -72,41 +72,28 @@ def state():
 # ------------------------------------------------------------------------------------------------ state
 
 
-def test_a_moved_camera_stays_on_the_surface(state):
-    before = state.coverage
-    moved = state.move(0, np.array([9.0, 0.1, 7.0]))
-    np.testing.assert_allclose(moved.position_m, [2.6, 0.1, 1.58], atol=1e-5)
-    np.testing.assert_array_equal(state.rig.cameras[0].position_m, moved.position_m)
-    for ours, theirs in zip(state.rig.cameras[1:], frames()[-1].cameras[1:], strict=True):
-        np.testing.assert_array_equal(ours.position_m, theirs.position_m)
+def test_only_what_changed_is_looked_at_again(state):
+    before, images = state.coverage, state.images
+    state.edits.move(0, np.array([9.0, 0.1, 7.0]))
     assert state.coverage is not before
     assert (state.coverage.is_seen[1:] == before.is_seen[1:]).all()
-    assert state.violation_m == 0.0
-    state.move(1, moved.position_m)
-    assert state.violation_m == pytest.approx(0.2)
-    assert state.lines[-1] == "constraints broken by 0.20 m"
+    assert [new[0] is old[0] for new, old in zip(state.images, images, strict=True)] == [False, True, True, True]
+    assert all(jpeg.startswith(b"\xff\xd8") and 0.0 <= share < 1.0 for jpeg, share in images)
+    state.edits.undo()
+    assert state.rig is state.frames[-1]
 
 
-def test_a_camera_from_elsewhere_is_put_on_the_surface(state):
-    elsewhere = dataclasses.replace(state.rig.cameras[0], position_m=np.array([3.5, 0.0, 0.6]))
-    state._set(Rig([elsewhere, *state.rig.cameras[1:]]))
-    np.testing.assert_allclose(state.move(0, np.array([2.0, 0.0])).position_m, [2.0, 0.0, 1.5 + HEIGHT_M], atol=1e-5)
-
-
-def test_frames_and_scenes(state, tmp_path):
+def test_frames_and_scenes(state):
     assert state.frame == 2
-    state.move(0, np.array([1.0, 0.0]))
+    moved = state.edits.move(0, np.array([1.0, 0.0]))
     state.go_to(0)
     assert state.rig is state.frames[0]
+    assert state.edits.undo() is moved
     with pytest.raises(IndexError, match="frame must be from 0 to 2, got 3"):
         state.go_to(3)
     assert len(state.scene.vehicles) == 1
     state.show_scene(3)
     assert state.scene is SCENES[1]
-    assert state.save(tmp_path / "rig.yaml") == tmp_path / "rig.yaml"
-    saved = read_rig(tmp_path / "rig.yaml")
-    for ours, theirs in zip(saved.cameras, state.rig.cameras, strict=True):
-        np.testing.assert_allclose(ours.position_m, theirs.position_m, atol=1e-6)
     with pytest.raises(ValueError, match="at least one rig and one scene, got 0 and 1"):
         InspectedRig([], None, 1, constraints=None, height_offset_m=0.0, observer_of=None)
 
@@ -115,7 +102,7 @@ def test_the_detector_is_asked_once_for_a_rig(state):
     assert state.observation is state.observation
     state.coverage  # noqa: B018 (needs no detector)
     assert len(state.asked) == 1
-    assert state.turn(0, 3.5).yaw_rad == pytest.approx(3.5 - 2.0 * math.pi)
+    state.edits.pose(0, yaw_deg=200.0)
     state.observation  # noqa: B018
     assert len(state.asked) == 2
 
@@ -143,21 +130,10 @@ def equipped():
     return inspected(lambda: BlindDetector([[]], [[]]), modules=MODULES, check=checked)
 
 
-def test_modules_take_turns_where_a_camera_stands(state, equipped):
-    before, others = equipped.rig.cameras[1], equipped.coverage.is_seen[[0, 2, 3]]
-    for module in (*MODULES, MODULES[0]):
-        found = equipped.change_module(1)
-        assert found.module == module.name
-        assert found.model == dataclasses.replace(module.camera_model(), near_m=before.model.near_m)
-        np.testing.assert_array_equal(found.ego_from_camera, before.ego_from_camera)
-        np.testing.assert_array_equal(equipped.coverage.is_seen[[0, 2, 3]], others)
-    assert state.change_module(1) is state.rig.cameras[1]  # there are none
-
-
 def test_requirements_are_checked_again_when_the_rig_changes(state, equipped):
     first = equipped.requirements
     assert first is equipped.requirements
-    equipped.turn(1, 0.9)
+    equipped.edits.pose(1, yaw_deg=50.0)
     again, expected = equipped.requirements, checked(equipped.rig, SCENES[0].ego)
     assert again is not first
     np.testing.assert_array_equal(again.meets, expected.meets)
@@ -201,24 +177,35 @@ def press(inspector, key):
     inspector.plotter.iren.interactor.KeyPressEvent()
 
 
-def test_a_camera_is_dragged_by_the_mouse(inspector):
+def test_cameras_are_dragged_by_the_mouse_along_the_skin(inspector):
+    """One after the other: the place on the skin follows the mouse, and beside the body the nearest place."""
     plotter, state = inspector.plotter, inspector.state
-    before, old = picture(inspector), state.rig.cameras[0]
-    start = project_px(plotter, old.position_m[None])[0]
-    end = project_px(plotter, np.array([[1.4, 0.3, old.position_m[2]]]))[0]
-    height = plotter.window_size[1]
-    plotter.iren._mouse_move(int(start[0]), int(height - start[1]))
-    plotter.iren._mouse_left_button_press(int(start[0]), int(height - start[1]))
-    assert inspector.chosen == 0
-    plotter.iren._mouse_move(int(end[0]), int(height - end[1]))
-    dragged = state.rig.cameras[0]
-    assert np.linalg.norm(dragged.position_m[:2] - old.position_m[:2]) > 0.2
-    asked = len(state.asked)
-    plotter.iren._mouse_left_button_release(int(end[0]), int(height - end[1]))
-    # it stands on the surface, and the ball with it
-    assert state.rig.cameras[0].position_m[2] == pytest.approx(1.58)
-    np.testing.assert_allclose(inspector._balls[0].GetCenter(), state.rig.cameras[0].position_m)
-    assert len(state.asked) == asked + 1  # only now
+    before = picture(inspector)
+
+    def mouse(action, point_m):
+        [[column, row]] = project_px(plotter, np.array([point_m]))
+        getattr(plotter.iren, f"_mouse_{action}")(int(column), int(plotter.window_size[1] - row))
+
+    roof_m, skin_m = 1.5 + HEIGHT_M, 1.5 + LEAST_STAND_OFF_M
+    for camera, (x_m, y_m), wanted in (
+        (0, (1.4, 0.3), (1.4, 0.3, roof_m)),
+        (3, (2.9, -0.3), (2.9, -0.3, skin_m)),
+        (2, (5.0, 0.2), (2.6, math.nan, roof_m)),
+    ):
+        old = state.rig.cameras[camera]
+        mouse("left_button_press", old.position_m)
+        assert inspector.chosen == camera
+        mouse("move", [x_m, y_m, roof_m])
+        asked = len(state.asked)
+        mouse("left_button_release", [x_m, y_m, roof_m])
+        assert len(state.asked) == asked + 1  # only now
+        # it stands on the surface, and the ball with it
+        np.testing.assert_allclose(np.nan_to_num(state.rig.cameras[camera].position_m - wanted), 0.0, atol=0.08)
+        ball = plotter.actors[f"rig/cam_{camera}/ball"].center
+        np.testing.assert_allclose(ball, state.rig.cameras[camera].position_m, atol=1e-5)
+        before_it, after_it = state.edits.undo().rig.cameras, state.edits.redo().rig.cameras
+        changed = [new is not old for new, old in zip(before_it, after_it, strict=True)]
+        assert changed == [k == camera for k in range(4)]  # one step
     assert np.abs(picture(inspector) - before).max() > 50
 
 
@@ -252,7 +239,25 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     assert (tmp_path / "mine.yaml").read_bytes() == before != (tmp_path / "mine-2.yaml").read_bytes()
     said = inspector._numbers.input.splitlines()
     assert said[-1] == f"wrote {tmp_path / 'mine-2.yaml'}"
-    assert any(line.startswith("constraints broken") for line in said)
+    assert "Closest pair of cameras 0.00 m (cam_0, cam_1), at least 0.20 m asked" in said
+    press(inspector, "BackSpace")
+    assert state.rig.cameras[0].position_m[0] == frames()[-1].cameras[0].position_m[0]
+
+
+def test_keys_and_a_click_add_and_remove_cameras(equipped, show):
+    made = show(equipped)
+    made.choose(1)
+    for key, count in (("h", 5), ("x", 6), ("Delete", 5), ("BackSpace", 6), ("BackSpace", 5), ("y", 6)):
+        press(made, key)
+        balls = [name for name in made.plotter.actors if name.endswith("/ball")]
+        assert (len(equipped.rig.cameras), len(balls)) == (count, count)
+    press(made, "b")
+    [[column, row]] = project_px(made.plotter, np.array([[2.2, -0.3, 1.5]]))
+    at_px = int(column), int(made.plotter.window_size[1] - row)
+    made.plotter.iren._mouse_left_button_press(*at_px)
+    made.plotter.iren._mouse_left_button_release(*at_px)
+    assert made.chosen == 6
+    np.testing.assert_allclose(equipped.rig.cameras[6].position_m, [2.2, -0.3, 1.5 + HEIGHT_M], atol=0.02)
 
 
 def test_keys_change_modules_and_lay_requirements_on_the_ground(equipped, show):
@@ -492,7 +497,9 @@ def test_the_slider_goes_through_the_run(inspector):
     slider.GetRepresentation().SetValue(0.2)
     slider.InvokeEvent("EndInteractionEvent")
     assert inspector.state.frame == 0
-    np.testing.assert_allclose(inspector._balls[0].GetCenter(), inspector.state.frames[0].cameras[0].position_m)
+    np.testing.assert_allclose(
+        inspector.plotter.actors["rig/cam_0/ball"].center, inspector.state.frames[0].cameras[0].position_m
+    )
 
 
 def test_the_view_shows_the_boxes_of_the_chosen_camera(inspector):

@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import multiprocessing
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import partial
+from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
@@ -86,6 +88,42 @@ def outcome_of(function: Callable[[_Task], _Result], task: _Task) -> Outcome[_Ta
     except Exception as error:  # the others go on
         lacks_memory = isinstance(error, MemoryError) or is_out_of_memory(error)
         return Outcome(task, error=f"{type(error).__name__}: {_one_line(error)}", lacks_memory=lacks_memory)
+
+
+class Job:
+    """A function in a process of its own: its argument ``tell`` says what it comes to, and it can be stopped."""
+
+    def __init__(self, function: Callable[..., object], *arguments: object) -> None:
+        """Start it; function and arguments have to be picklable."""
+        context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
+        self._told, theirs = context.Pipe(duplex=False)
+        self._process = context.Process(target=_tell, args=(theirs, function, arguments), daemon=True)
+        with _main_module_hidden():
+            self._process.start()
+        theirs.close()
+
+    def news(self) -> list[Any]:
+        """What it has said since it was asked last; the last of all is its `Outcome`, whose task is None."""
+        found = []
+        try:
+            while self._told.poll():
+                found.append(self._told.recv())
+        except (EOFError, OSError):
+            found.append(Outcome(None, error="the process was ended from outside"))
+        return found
+
+    def stop(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.join()
+        self._told.close()
+
+
+def _tell(pipe: Connection, function: Callable[..., object], arguments: Sequence[Any]) -> None:
+    """What the process of a job does; Ctrl-C is for the one that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with_parent()
+    pipe.send(outcome_of(lambda _: function(*arguments, tell=lambda *said: pipe.send(said)), None))
 
 
 def _one_line(error: Exception) -> str:

@@ -31,6 +31,8 @@ from warpav.optimisation._mount import CameraMount as CameraMount
 from warpav.optimisation._mount import FreeRanges as FreeRanges
 from warpav.optimisation._mount import FrozenCameras as FrozenCameras
 from warpav.optimisation._mount import PlacedViews as PlacedViews
+from warpav.optimisation._mount import mirror_image as mirror_image
+from warpav.optimisation._mount import named_by_direction as named_by_direction
 from warpav.optimisation._mount_errors import ANGLES as ANGLES
 from warpav.optimisation._mount_errors import MountErrors as MountErrors
 from warpav.optimisation._objective import Evaluation as Evaluation
@@ -48,6 +50,7 @@ from warpav.optimisation._pool_run import PoolRun as PoolRun
 from warpav.optimisation._pool_run import workshop_rig as workshop_rig
 from warpav.optimisation._pool_search import PoolSearchSettings as PoolSearchSettings
 from warpav.optimisation._pool_search import PoolTask as PoolTask
+from warpav.optimisation._pool_search import polish_start as polish_start
 from warpav.optimisation._records import Candidate as Candidate
 from warpav.optimisation._records import IterationRecord as IterationRecord
 from warpav.optimisation._records import NotFiniteError as NotFiniteError

@@ -775,6 +775,28 @@ class PoolSearch:
         yield self._found("polish")
 
 
+def polish_start(task: PoolTask) -> Iterator[tuple[float, np.ndarray]]:
+    """Polish the start of a task, without requirements; rules of cameras and pairs are kept if the start keeps them.
+
+    Gives the share of the steps that are taken, and the mount poses of the best rig so far, float32 [camera, 7].
+    """
+    cameras, rules, constraints = task.cameras, task.rules, task.constraints.of_any_modules
+    assert task.start is not None
+    start = nearest_rig(task.start, cameras.mount, constraints)
+    if rules is not None and not rules.keeps(start, frozen=np.zeros(len(start), bool)):
+        rules = None
+    kept = {}
+    if rules is not None:
+        kept["hard_points"] = HardPoints(rules.margins, rules.needed)
+        kept["pair_edges"] = rules.pair_edges
+        kept["is_allowed"] = lambda pose, _: rules.keeps(pose, frozen=np.zeros(len(pose), bool))
+    wanted = PolishTask(cameras.mount, constraints, len(task.scenes), weight=task.object_weight, **kept)
+    count, radius = _WHOLE_POLISH
+    detect = partial(cameras.with_jacobian, scenes=task.scenes)
+    for taken, step in enumerate(polish(start, detect, wanted, PolishSteps(count, radius))):
+        yield taken / count, step.mount_pose
+
+
 class _Assembly:
     """Rigs of a mount, some of whose cameras may be frozen: their own come first in a pool, and keep their places."""
 

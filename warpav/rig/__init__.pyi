@@ -27,8 +27,10 @@ from warpav.rig._module import Role as Role
 from warpav.rig._mount_surface import MountSurface as MountSurface
 from warpav.rig._mount_surface import measured_surface as measured_surface
 from warpav.rig._mount_surface import mount_surface_from_mesh as mount_surface_from_mesh
+from warpav.rig._on_body import LEAST_STAND_OFF_M as LEAST_STAND_OFF_M
 from warpav.rig._on_body import MovedRig as MovedRig
 from warpav.rig._on_body import blocked_shares as blocked_shares
+from warpav.rig._on_body import first_hit as first_hit
 from warpav.rig._on_body import ray_caster as ray_caster
 from warpav.rig._on_body import skin_distance_m as skin_distance_m
 from warpav.rig._proposals import kinds_of_names as kinds_of_names

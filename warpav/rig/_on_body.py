@@ -108,6 +108,22 @@ def ray_caster(vehicle: Mesh) -> EmbreeScene:
     return caster
 
 
+def first_hit(caster: EmbreeScene, vehicle: Mesh, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where a ray, its origin [m] and its direction, [2, 3], meets a vehicle first, and the normal there against it.
+
+    None where it misses; both [3]. The caster is that of `ray_caster`.
+    """
+    origin_m, direction = (np.asarray(each, np.float32)[None] for each in ray)
+    found = caster.run(origin_m, direction, output=True)
+    [triangle], [length] = found["primID"], found["tfar"]
+    if triangle < 0:
+        return None
+    a, b, c = vehicle.vertex_m[vehicle.triangle[triangle]].astype(np.float64)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal) * -np.copysign(1.0, normal @ direction[0])
+    return np.asarray(ray[0] + float(length) * ray[1], np.float64), normal
+
+
 def blocked_shares(caster: EmbreeScene, camera: RigCamera, place_m: np.ndarray) -> np.ndarray:
     """Share of the rays of a camera's middle row that meet the vehicle, from places [place, 3]; [place]."""
     model = camera.model

@@ -68,7 +68,7 @@ def check_rig_page(source: str, config: Config, *, requirements: str, out: Path)
     ego, device = first_scene(config).ego, checked_device(config.device)
     rig = find_rig(source, config, ego)
     met = check_requirements(rig, ego, wanted, supersampling=config.camera.supersampling, device=device)
-    items = [*_required(met), *_ruled(rig, ego, config, device), *_seen(rig, ego, checks, device)]
+    items = [*_required(met), *rule_items(rig, ego, config, device), *_seen(rig, ego, checks, device)]
     items += [*_far(rig, ego, checks, device), _tolerated(rig, ego, config, checks, device)]
     figures = {
         kind: io.BytesIO(figure_bytes(drawing_of(rig, Canvas(off_screen=True), kind=kind, ego=ego), ".png"))
@@ -93,7 +93,8 @@ def _required(met: RequirementResult) -> Iterator[Item]:
         )
 
 
-def _ruled(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
+def rule_items(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
+    """The design rules, each with its worst camera."""
     for each in RuleCheck(rig, ego, config.rules.limits, device=device).margins:
         factor, unit = (100.0, "%") if each.unit.startswith("of the") else (1.0, " m" if each.unit == "m" else "°")
         is_least = each.rule in ("horizon", "crossing")

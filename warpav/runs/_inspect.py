@@ -9,6 +9,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,6 +21,7 @@ from warpav.core.warp_setup import checked_device
 from warpav.raster.lens import Lens
 from warpav.rig import Rig, RigCamera
 from warpav.runs._drawn_run import fitting, vehicle_name
+from warpav.runs._editor import RigScorer, judge_of, search_from
 from warpav.runs._events import trajectory
 from warpav.runs._mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
 from warpav.runs._networks import load_detector
@@ -211,6 +213,7 @@ def inspector(
         further=further,
         modules=_modules(config),
         check=check,
+        judge=judge_of(config, first.ego),
         device=device,
     )
     return Inspector(
@@ -240,7 +243,11 @@ def serve_inspector(
 
     scenes = None if scene is None else [read_scene(scene)]
     shown = BrowserInspector(
-        lambda panel: inspector(source, config, scenes=scenes, off_screen=True, panel=panel), token=new_token()
+        lambda panel: inspector(source, config, scenes=scenes, off_screen=True, panel=panel),
+        token=new_token(),
+        name=Path(source).stem,
+        scorer_of=partial(RigScorer, config),
+        search=partial(search_from, config=config, scenes=scenes),
     )
     shown.serve(port=DEFAULT_PORT if port is None else port, ready=ready)
 
@@ -280,7 +287,7 @@ def write_inspector_page(
     for each in shown:
         picture = Picture(rig=rig, scene=each, trajectory_m=trajectory_m)
         plotter = rig_plotter(picture, Canvas(zoom=WIDE_ZOOM, off_screen=True), sectors=False)
-        add_range_rings(plotter, each.ego.bounds_m())
+        add_range_rings(plotter, each)
         ground = Ground.around(DeviceScene.pack(each, device=checked_device(config.device)))
         for height_m in (*HEIGHTS_M, PATCH_M):
             coverage = ground.coverage(rig.cameras, heights_m=(height_m,))

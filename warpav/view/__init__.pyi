@@ -6,6 +6,8 @@ from warpav.view._blocks import scene_to_pyvista as scene_to_pyvista
 from warpav.view._browser import DEFAULT_PORT as DEFAULT_PORT
 from warpav.view._browser import BrowserInspector as BrowserInspector
 from warpav.view._browser import new_token as new_token
+from warpav.view._editing import Finding as Finding
+from warpav.view._editing import RigScore as RigScore
 from warpav.view._inspected import InspectedRig as InspectedRig
 from warpav.view._inspector import BEGINNINGS as BEGINNINGS
 from warpav.view._inspector import Inspector as Inspector

@@ -1,30 +1,31 @@
-"""A rig under inspection: scenes to show, iterations to go through, cameras to move, and what follows from it.
+"""A rig under inspection: scenes to show, iterations to go through, and what follows from each edit of the rig.
 
-Nothing here draws; `warpav.view._inspector` does.
+Nothing here draws; `warpav.view._inspector` does, and `warpav.view._editing` edits.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
-from pathlib import Path
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.optimisation import min_camera_distance_m
-from warpav.rig import Rig, RigCamera, write_rig
-from warpav.scene import DeviceScene
+from warpav.detection import render_images
+from warpav.rig import Rig, first_hit, ray_caster
+from warpav.scene import EGO, DeviceScene
 from warpav.sight import HEIGHTS_M, PATCH_M, Ground
+from warpav.view._editing import EditedRig
 
 if TYPE_CHECKING:
     from warpav.optimisation import Constraints, FurtherCameras, RigObservation, RigObserver
+    from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
-    from warpav.rig import Module, MountSurface
+    from warpav.rig import Module, MountSurface, RigCamera
     from warpav.scene import Scene
     from warpav.sight import Coverage, RequirementResult
+    from warpav.view._editing import Finding
     from warpav.view._layers import Steepest
 
 NEAR_M = 20.0
@@ -32,6 +33,9 @@ NEAR_M = 20.0
 
 _KEPT_SCENES = 4
 """Scenes that are held in memory; others are built again when they are shown."""
+
+_THUMBNAIL_PX = 160
+"""Width of the small images of all cameras."""
 
 
 class InspectedRig:
@@ -50,6 +54,7 @@ class InspectedRig:
         further: FurtherCameras | None = None,
         modules: Sequence[Module] = (),
         check: Callable[[Rig, Mesh], RequirementResult] | None = None,
+        judge: Callable[[Rig], Sequence[Finding]] | None = None,
         device: str = "cpu",
     ) -> None:
         """Begin with the last frame and the first scene."""
@@ -59,17 +64,21 @@ class InspectedRig:
             raise ValueError(f"expected a descent for each of {len(frames)} rigs, got {len(descents)}")
         self.frames = list(frames)
         self._descents = list(descents) or [None] * len(frames)
-        self._further, self._modules, self._check = further, tuple(modules), check
+        self._further, self._is_checked = further, check is not None
         self.frame = len(self.frames) - 1
-        self.rig = self.frames[-1]
+        where = {"constraints": constraints, "height_offset_m": height_offset_m}
+        self.edits = EditedRig(self.frames[-1], modules=modules, judge=judge, **where)
         self.scene_index, self.scene_count = 0, scene_count
-        self._constraints, self._height_offset_m = constraints, height_offset_m
-        self._observer_of, self._device = observer_of, device
+        self._constraints, self._device = constraints, device
         self._last_coverage: dict[tuple[float, ...], tuple[tuple[RigCamera, ...], Coverage]] = {}
         kept = lru_cache(_KEPT_SCENES)
-        self._scene_of = kept(scene_of)
-        self._packed_of = kept(lambda index: DeviceScene.pack(self._scene_of(index), device=device))
+        self.scene_of = kept(scene_of)
+        self._packed_of = kept(lambda index: DeviceScene.pack(self.scene_of(index), device=device))
         self._ground_of = kept(lambda index: Ground.around(self._packed_of(index)))
+        self._caster_of = kept(lambda index: ray_caster(self.scene_of(index).ego))
+        self._observation_of = kept(lambda rig, index: observer_of(rig).observe(self._packed_of(index)))
+        self._requirements_of = kept(lambda rig, index: None if check is None else check(rig, self.scene_of(index).ego))
+        self._last_images: dict[RigCamera, tuple[int, bytes, float]] = {}
 
     @property
     def known(self) -> set[str]:
@@ -77,77 +86,50 @@ class InspectedRig:
         found = {
             "descent": any(each is not None for each in self._descents),
             "further": self._further is not None,
-            "modules": bool(self._modules),
-            "requirements": self._check is not None,
+            "modules": bool(self.edits.modules),
+            "requirements": self._is_checked,
         }
         return {name for name, is_there in found.items() if is_there}
 
     @property
     def scene(self) -> Scene:
         """The scene that is shown."""
-        return self._scene_of(self.scene_index)
+        return self.scene_of(self.scene_index)
 
     @property
     def packed(self) -> DeviceScene:
         """The same on the device."""
         return self._packed_of(self.scene_index)
 
+    @property
+    def rig(self) -> Rig:
+        """The rig as it is now."""
+        return self.edits.rig
+
     def go_to(self, frame: int) -> None:
-        """Show the rig of a frame; moves of cameras are forgotten."""
+        """Show the rig of a frame, as a step that can be undone."""
         if not 0 <= frame < len(self.frames):
             raise IndexError(f"frame must be from 0 to {len(self.frames) - 1}, got {frame}")
         self.frame = frame
-        self._set(self.frames[frame])
+        self.edits.replace(self.frames[frame])
 
     def show_scene(self, index: int) -> None:
         """Show another scene; numbers beyond the last begin again with the first."""
         self.scene_index = index % self.scene_count
-        self._forget()
 
-    def move(self, camera: int, position_m: np.ndarray) -> RigCamera:
-        """Move a camera to the position on the mount surface nearest to another one, and return it as it is then.
+    def skin_at(self, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where a ray, origin and direction [2, 3], meets the vehicle first, and the normal there; None: nowhere."""
+        return first_hit(self._caster_of(self.scene_index), self.scene.ego, ray)
 
-        A camera that stood on the surface keeps its height above it. Other cameras stay, so two may come too close:
-        see `violation_m`.
-        """
-        surface = self._constraints.surface
-        old = self.rig.cameras[camera]
-        wanted_m = np.array([*np.asarray(position_m, np.float64), old.position_m[2]])[:3]
-        at_m = self._constraints.project(surface.place_of(wanted_m)[0][None])[0]
-        old_place_m, was_above_m = surface.place_of(old.position_m)
-        stood_there = bool(self._constraints.contains(old_place_m[None])[0])
-        above_m = float(was_above_m) if stood_there else self._height_offset_m
-        if surface.zones:
-            above_m = float(np.clip(above_m, *surface.zones[int(surface.zone_at(at_m))].rise_m))
-        height_m = float(surface.height_at_m(at_m[None])[0]) + above_m
-        [pane] = surface.panes_at(at_m[None])
-        return self._change(camera, position_m=surface.point_m(at_m, height_m), behind_glass=pane)
-
-    def turn(self, camera: int, yaw_rad: float) -> RigCamera:
-        """Turn a camera about the vertical, to a yaw left positive [rad], and return it as it is then."""
-        return self._change(camera, yaw_rad=math.remainder(yaw_rad, 2.0 * math.pi))
-
-    def change_module(self, camera: int) -> RigCamera:
-        """Put the next module in a camera's place, after the last the first, and return it as it is then.
-
-        Position, angles and near plane stay those of the camera. Where there are no modules, nothing changes.
-        """
-        old, names = self.rig.cameras[camera], [module.name for module in self._modules]
-        if not names:
-            return old
-        module = self._modules[(names.index(old.module) + 1) % len(names) if old.module in names else 0]
-        model = dataclasses.replace(module.camera_model(), near_m=old.model.near_m)
-        return self._change(camera, model=model, module=module.name)
-
-    @cached_property
+    @property
     def requirements(self) -> RequirementResult | None:
         """What the rig meets of the requirements on its vehicle; None where there are none."""
-        return None if self._check is None else self._check(self.rig, self.scene.ego)
+        return self._requirements_of(self.rig, self.scene_index)
 
     @property
     def descent(self) -> Steepest | None:
         """Direction of steepest descent at the frame; None if it is unknown, or once a camera was moved or turned."""
-        return self._descents[self.frame] if self.rig is self.frames[self.frame] else None
+        return next((d for d, rig in zip(self._descents, self.frames, strict=True) if rig is self.rig), None)
 
     @property
     def further(self) -> FurtherCameras | None:
@@ -159,20 +141,20 @@ class InspectedRig:
         """What the cameras stand on."""
         return self._constraints.surface
 
-    @cached_property
+    @property
     def coverage(self) -> Coverage:
         """Which cameras see whom where in the scene; only cameras that changed since the last time are asked again."""
         return self._coverage_of(HEIGHTS_M)
 
-    @cached_property
+    @property
     def ground_coverage(self) -> Coverage:
         """The same of patches of the ground itself."""
         return self._coverage_of((PATCH_M,))
 
     def _coverage_of(self, heights_m: tuple[float, ...]) -> Coverage:
         ground, cameras = self._ground_of(self.scene_index), self.rig.cameras
-        before, coverage = self._last_coverage.get(heights_m, (None, None))
-        if before is None or coverage is None or coverage.ground is not ground:
+        before, coverage = self._last_coverage.get(heights_m, ((), None))
+        if coverage is None or coverage.ground is not ground or len(before) != len(cameras):
             coverage = ground.coverage(cameras, heights_m=heights_m)
         else:
             for index, (old, new) in enumerate(zip(before, cameras, strict=True)):
@@ -181,15 +163,28 @@ class InspectedRig:
         self._last_coverage[heights_m] = cameras, coverage
         return coverage
 
-    @cached_property
+    @property
     def observation(self) -> RigObservation:
         """What the detector makes of the scene."""
-        return self._observer_of(self.rig).observe(self.packed)
+        return self._observation_of(self.rig, self.scene_index)
 
     @property
-    def violation_m(self) -> float:
-        """By how much the rig breaks the constraints [m]."""
-        return self._constraints.violation_m(self.rig)
+    def images(self) -> list[tuple[bytes, float]]:
+        """What each camera sees, small, as JPEG, and the share of it that is the own body.
+
+        Only cameras that changed since the last time are drawn again.
+        """
+        import cv2
+
+        cameras, scene = self.rig.cameras, self.scene_index
+        known = {camera: self._last_images[camera] for camera in cameras if camera in self._last_images}
+        new = [camera for camera in cameras if camera not in known or known[camera][0] != scene]
+        small = [dataclasses.replace(camera, model=_small(camera.model)) for camera in new]
+        for camera, image in zip(new, render_images(self.packed, small, device=self._device), strict=True):
+            jpeg = cv2.imencode(".jpg", np.ascontiguousarray(image.rgb[:, :, ::-1]))[1].tobytes()
+            known[camera] = scene, jpeg, float((image.object_index == EGO).mean())
+        self._last_images = known
+        return [known[camera][1:] for camera in cameras]
 
     @property
     def lines(self) -> list[str]:
@@ -199,27 +194,8 @@ class InspectedRig:
             f"{height_m:g} m tall: seen on {share:.1%} of the ground, blind {area_m2:.0f} m²"
             for height_m, share, area_m2 in zip(self.coverage.heights_m, shares, areas, strict=True)
         )
-        distance_m = min_camera_distance_m(np.array([camera.position_m for camera in self.rig.cameras]))
-        apart = [f"closest pair of cameras {distance_m:.2f} m"] if math.isfinite(distance_m) else []
-        breach = [f"constraints broken by {self.violation_m:.2f} m"] if self.violation_m else []
-        return [f"scene {self.scene.name}, {len(self.scene.vehicles)} vehicles", *seen, *apart, *breach]
+        return [f"scene {self.scene.name}, {len(self.scene.vehicles)} vehicles", *seen]
 
-    def save(self, path: Path | str) -> Path:
-        """Write the rig as it is now."""
-        write_rig(self.rig, path)
-        return Path(path)
 
-    def _change(self, camera: int, **changes: object) -> RigCamera:
-        cameras = list(self.rig.cameras)
-        cameras[camera] = dataclasses.replace(cameras[camera], **changes)  # pyright: ignore[reportArgumentType]
-        Rig([cameras[camera]])  # checked; the others were before
-        self._set(Rig(tuple(cameras)))
-        return self.rig.cameras[camera]
-
-    def _set(self, rig: Rig) -> None:
-        self.rig = rig
-        self._forget()
-
-    def _forget(self) -> None:
-        for name in ("coverage", "ground_coverage", "observation", "requirements"):
-            self.__dict__.pop(name, None)
+def _small(model: CameraModel) -> CameraModel:
+    return model.resized(_THUMBNAIL_PX, max(8, round(_THUMBNAIL_PX * model.height_px / model.width_px)))

@@ -41,6 +41,7 @@ from warpav.view._picture import (
     add_range_rings,
     add_scene,
     label_point_m,
+    project_px,
     rig_plotter,
 )
 
@@ -84,14 +85,16 @@ SHOWN_HEIGHTS_M = (*HEIGHTS_M, PATCH_M)
 
 _BOTTOM = 0.1  # above the lines of help
 
+_PARTS = ("descent", "further", "gain")  # what is known of the rigs of a run alone
 TURN_DEG = 2.0
-_MESSAGE_CHARACTERS = 80
-"""Longest line of a message in the window."""
+_MESSAGE_CHARACTERS, _HELP_CHARACTERS = 80, 120
+"""Longest lines of a message and of the help in the window."""
 
 _DRAGGED_RAYS_PX = 97
 """Rays along each side of the view of a camera while it is dragged."""
 
-_BALL_RADIUS_M = 0.11
+_BALL_RADIUS_M, _BALL_PX = 0.11, 6.0
+"""Of the balls by which cameras are dragged, and how near to the middle of one the mouse takes it at least."""
 
 
 class Inspector:
@@ -131,8 +134,11 @@ class Inspector:
         self.plotter.disable_anti_aliasing()
         self.plotter.renderer.SetUseOIT(False)
         self._drawn = list(state.rig.cameras)
-        self._balls: list[Any] = []
         self._labels = [self._add_label(index) for index in range(len(self._drawn))]
+        self.is_putting = False
+        self._held: int | None = None  # the camera that is dragged
+        self._is_moved = False
+        self._off_px = np.zeros(2)  # how far its place on the skin is from the mouse
         self._ground: tuple[Ground, tuple[float, ...], Any] | None = None
         self._numbers: Any = None
         self._view: Any = None
@@ -148,8 +154,8 @@ class Inspector:
             return  # the slider says so when it is made
         self.state.go_to(frame)
         with self._one_render():
-            self._move(range(len(self.state.rig.cameras)))
-            self._draw("descent", "further", "gain", "visibility")
+            self._move()
+            self._draw(*_PARTS, "visibility")
             self._redraw()
 
     def show_scene(self, number: int) -> None:
@@ -197,11 +203,27 @@ class Inspector:
         gain = "gain" if "further" in self.state.known else None
         self.show_on_body({None: "zones", "zones": gain, "gain": None}[self.shown_on_body])
 
+    def edit(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
+        """Take a step of `EditedRig` by its name, such as ``undo``; the camera that it was about is chosen."""
+        edit = getattr(self.state.edits, step)(*words, **numbers)
+        self.chosen = edit.camera
+        self._after_change()
+
+    def edit_chosen(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
+        """Take a step about the chosen camera, if there is one."""
+        if self.chosen is not None:
+            self.edit(step, self.chosen, *words, **numbers)
+
     def change_module(self) -> None:
         """Put the next module in the place of the chosen camera."""
-        if self.chosen is not None and "modules" in self.state.known:
-            self.state.change_module(self.chosen)
-            self._after_change(self.chosen)
+        names = list(self.state.edits.modules)
+        if self.chosen is not None and names:
+            old = self.state.rig.cameras[self.chosen].module
+            self.edit_chosen("set_module", names[(names.index(old) + 1) % len(names) if old in names else 0])
+
+    def put(self) -> None:
+        """From now on the next click on the body puts a camera there; once more, and it does not."""
+        self.is_putting = not self.is_putting
 
     def choose(self, camera: int | None) -> None:
         """Show the view through a camera, with boxes; None: through none."""
@@ -215,17 +237,14 @@ class Inspector:
         with self._one_render():
             self._follow(camera, position_m)
 
-    def drop(self, camera: int, position_m: np.ndarray) -> None:
+    def drop(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
         """Move a camera and let go of it: everything follows."""
-        self.state.move(camera, position_m)
-        self.chosen = camera
-        self._after_change(camera)
+        self.edit("move", camera, position_m, outward)
 
     def turn(self, angle_deg: float) -> None:
         """Turn the chosen camera to the left by an angle [degrees]."""
         if self.chosen is not None:
-            self.state.turn(self.chosen, self.state.rig.cameras[self.chosen].yaw_rad + np.radians(angle_deg))
-            self._after_change(self.chosen)
+            self.edit_chosen("pose", yaw_deg=np.degrees(self.state.rig.cameras[self.chosen].yaw_rad) + angle_deg)
 
     def save(self) -> Path:
         """Write the rig as it is now, to a file of its own: a number follows the name where that is taken."""
@@ -233,7 +252,7 @@ class Inspector:
         while path.is_file():
             number += 1
             path = self.save_to.with_stem(f"{self.save_to.stem}-{number}")
-        self.state.save(path)
+        self.state.edits.save(path)
         with self._one_render():
             self._say("\n".join([*self._lines(), f"wrote {path}"]))
         return path
@@ -257,6 +276,10 @@ class Inspector:
             found["o"] = ("other module", self.change_module)
         found["Left"] = ("turn left", lambda: self.turn(TURN_DEG))
         found["Right"] = ("turn right", lambda: self.turn(-TURN_DEG))
+        found["b"] = ("put a camera: click the body", self.put)
+        for key, step in {"h": "copy", "x": "mirror", "Delete": "remove"}.items():
+            found[key] = step, partial(self.edit_chosen, step)
+        found["BackSpace"], found["y"] = ("undo", partial(self.edit, "undo")), ("redo", partial(self.edit, "redo"))
         found["Return"] = ("write the rig", self.save)
         return found
 
@@ -265,13 +288,15 @@ class Inspector:
         for index in range(len(self.state.rig.cameras)):
             self._add_ball(index)
         plotter.render_window.AddObserver("WindowResizeEvent", lambda *_: self._put_view())
+        self._listen("LeftButtonPressEvent", self._pressed)
+        self._listen("MouseMoveEvent", self._moved)
+        self._listen("LeftButtonReleaseEvent", self._released)
         if self._panel is not None:
             return
         said = ["click a ball: look through the camera", "drag it: move the camera"]
         said += [*(f"{key}: {words}" for key, (words, _) in self.keys.items()), "q: quit"]
-        third = -(-len(said) // 3)
-        lines = ("   ".join(said[k : k + third]) for k in range(0, len(said), third))
-        add_text(plotter, "\n".join(lines), (0.02, 0.012), size=8, name="help")
+        lines = textwrap.fill("   ".join(each.replace(" ", "\xa0") for each in said), _HELP_CHARACTERS)
+        add_text(plotter, lines.replace("\xa0", " "), (0.02, 0.012), size=8, name="help")
         if count > 1:
             place = {"pointa": (0.66, 0.93), "pointb": (0.97, 0.93), "color": hex_colour(INK_RGB), "fmt": "%.0f"}
             plotter.add_slider_widget(
@@ -294,20 +319,22 @@ class Inspector:
             with self._one_render():
                 self._say(textwrap.fill(str(error), _MESSAGE_CHARACTERS))
 
+    def _listen(self, event: str, answer: Callable[[], bool]) -> None:
+        """Hear of the mouse before the view does, which does not hear of what is answered."""
+        interactor = self.plotter.iren.interactor
+
+        def hear(*_: object) -> None:
+            if answer():
+                command.AbortFlagOn()
+
+        command = interactor.GetCommand(interactor.AddObserver(event, hear, 1.0))
+
     def _add_ball(self, index: int) -> None:
-        """A ball around a camera that can be dragged."""
-        widget = self.plotter.add_sphere_widget(
-            lambda position_m: self.drop(index, np.array(position_m)),
-            center=tuple(self.state.rig.cameras[index].position_m),
-            radius=_BALL_RADIUS_M,
-            color=hex_colour(camera_rgb(index)),
-            selected_color=hex_colour(camera_rgb(index)),
-            interaction_event="end",
-            test_callback=False,
-        )
-        widget.AddObserver("InteractionEvent", lambda ball, _: self._dragged(ball, index))
-        widget.AddObserver("StartInteractionEvent", lambda ball, _: self.choose(index))
-        self._balls.append(widget)
+        """A ball around a camera, by which it is dragged; it moves with what else is drawn of the camera."""
+        camera = self.state.rig.cameras[index]
+        ball = load_pyvista().Sphere(radius=_BALL_RADIUS_M, center=camera.position_m)
+        name = f"rig/{camera.name}/ball"
+        self.plotter.add_mesh(ball, color=hex_colour(camera_rgb(index)), ambient=0.4, name=name, reset_camera=False)
 
     def _add_label(self, index: int) -> Any:  # noqa: ANN401 (a pyvista.Label)
         """The name of a camera above its frustum."""
@@ -329,37 +356,106 @@ class Inspector:
             yield
         self.plotter.render()
 
-    def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
-        """Answer to a move of the mouse; the ball draws the window afterwards, so nothing else has to."""
-        with no_render(self.plotter):
-            self._follow(camera, np.array(ball.GetCenter()))
+    def _mouse_px(self) -> np.ndarray:
+        """Where the mouse is, column and row from the lower left corner."""
+        return np.array(self.plotter.iren.interactor.GetEventPosition(), np.float64)
 
-    def _follow(self, camera: int, position_m: np.ndarray) -> None:
+    def _shown_px(self, point_m: np.ndarray) -> np.ndarray:
+        """The same of points [point, 3]."""
+        return np.abs(project_px(self.plotter, point_m) - [0.0, self.plotter.window_size[1]])
+
+    def _pointed(self) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """Where on the body the mouse points at, and the normal there; beside it as deep as the camera that is held."""
+        renderer, ends = self.plotter.renderer, []
+        for depth in (0.0, 1.0):
+            renderer.SetDisplayPoint(*(self._mouse_px() + self._off_px), depth)
+            renderer.DisplayToWorld()
+            *end, scale = renderer.GetWorldPoint()
+            ends.append(np.divide(end, scale))
+        near, ray = ends[0], ends[1] - ends[0]
+        found = self.state.skin_at(np.array([near, ray / np.linalg.norm(ray)]))
+        if found is not None or self._held is None:
+            return found
+        ahead = np.array(self.plotter.camera.direction)
+        depth = (self.state.edits.foot_m(self._held) - near) @ ahead / (ray @ ahead)
+        return near + depth * ray, None
+
+    def _pressed(self) -> bool:
+        """Take the ball under the mouse, if there is one; where a camera is put, nothing else hears of the click."""
+        if self.is_putting:
+            return self._pointed() is not None
+        position_m = np.array([camera.position_m for camera in self.state.rig.cameras])
+        rim_m = position_m + _BALL_RADIUS_M * np.array(self.plotter.camera.up)
+        middle_px, rim_px = self._shown_px(position_m), self._shown_px(rim_m)
+        size_px = np.maximum(np.linalg.norm(rim_px - middle_px, axis=1), _BALL_PX)
+        away = np.linalg.norm(middle_px - self._mouse_px(), axis=1) / size_px
+        camera = int(away.argmin())
+        if away[camera] > 1.0:
+            return False
+        self._off_px = self._shown_px(self.state.edits.foot_m(camera)[None])[0] - self._mouse_px()
+        self._held, self._is_moved = camera, False
+        self.choose(camera)
+        return True
+
+    def _moved(self) -> bool:
+        """Move the camera whose ball is held; what needs the detector waits for its release."""
+        if self._held is None:
+            return False
+        found, self._is_moved = self._pointed(), True
+        assert found is not None
+        with no_render(self.plotter):
+            self._follow(self._held, *found)
+        self.plotter.iren.interactor.Render()
+        return True
+
+    def _released(self) -> bool:
+        """Let go of a ball, or put a camera."""
+        held, found = self._held, self._pointed()
+        if held is not None and found is not None:
+            if self._is_moved:
+                self.drop(held, *found)
+            self._held, self._off_px = None, np.zeros(2)
+        elif self.is_putting and found is not None:
+            self.is_putting = False
+            self._attempt(partial(self.edit, "put", *found, like=self.chosen or 0))
+        else:
+            return False
+        return True
+
+    def _follow(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
         """What a drag changes, not yet drawn."""
         was_known = self.state.descent is not None or self.state.further is not None
-        self.state.move(camera, position_m)
+        self.state.edits.move(camera, position_m, outward, held=True)
         self._draw_camera(camera)
         if was_known:
-            self._draw("descent", "further", "gain")
+            self._draw(*_PARTS)
         if "visibility" in self.shows:
             self._draw_visibility([camera], rays=_DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
-    def _after_change(self, camera: int) -> None:
+    def _after_change(self) -> None:
         with self._one_render():
-            self._move([camera])
-            self._draw("descent", "further", "gain")
-            if "visibility" in self.shows:
-                self._draw_visibility([camera])
-            if "outcomes" in self.shows:
-                self._draw("outcomes")
+            self._move()
+            self._draw(*_PARTS, "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
             self._redraw()
 
-    def _move(self, cameras: Iterable[int]) -> None:
-        """Draw cameras where they are now, and their balls."""
-        for index in cameras:
+    def _move(self) -> None:
+        """Draw cameras where they are now; others than were drawn are drawn anew."""
+        cameras = self.state.rig.cameras
+        if self.chosen is not None and self.chosen >= len(cameras):
+            self.chosen = None
+        if [each.name for each in cameras] != [each.name for each in self._drawn]:
+            for old in self._drawn:
+                remove(self.plotter, f"rig/{old.name}")
+                for name in (f"label/{old.name}", f"visibility/{old.name}"):
+                    self.plotter.remove_actor(name)
+            self._drawn = list(cameras)
+            for index, camera in enumerate(cameras):
+                add_camera(self.plotter, camera, index)
+                self._add_ball(index)
+            self._labels = [self._add_label(index) for index in range(len(cameras))]
+        for index in range(len(cameras)):
             self._draw_camera(index)
-            self._balls[index].SetCenter(*self.state.rig.cameras[index].position_m)
 
     def _draw_camera(self, index: int) -> None:
         """Move what is drawn of a camera to where it is now; only another lens is drawn again."""
@@ -372,6 +468,7 @@ class Inspector:
         else:
             remove(self.plotter, f"rig/{camera.name}")
             add_camera(self.plotter, camera, index)
+            self._add_ball(index)
             self._drawn[index] = camera
         self._labels[index].position = tuple(label_point_m(camera))
 
@@ -380,7 +477,7 @@ class Inspector:
         state, plotter, shows = self.state, self.plotter, self.shows
         for part in parts:
             if part == "rings":
-                add_range_rings(plotter, state.scene.ego.bounds_m() if part in shows else None)
+                add_range_rings(plotter, state.scene if part in shows else None)
             elif part == "outcomes":
                 remove(plotter, "scene")
                 add_scene(plotter, state.scene, state.observation.outcomes if part in shows else None)
@@ -408,8 +505,8 @@ class Inspector:
         """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
         self._draw_coverage()
         self._say("\n".join(self._lines(detector=detector)))
+        self._draw_view(detector=detector)
         if detector:
-            self._draw_view()
             add_requirements(self.plotter, self.state.requirements if "requirements" in self.shows else None)
 
     def _lines(self, *, detector: bool = True) -> list[str]:
@@ -423,8 +520,11 @@ class Inspector:
                 seen = ", ".join(f"{share:.1%} by {count}" for count, share in zip((1, 2, 3), shares, strict=True))
                 lines.append(f"the ground within {NEAR_M:g} m: {seen} cameras or more")
         chosen = None if self.chosen is None else self.state.rig.cameras[self.chosen]
-        if chosen is not None and chosen.module is not None:
-            lines.append(f"{chosen.name}: {chosen.module}")
+        if self._panel is None:  # which shows these in its own way
+            broken = [each for each in self.state.edits.edit.findings if each.is_kept is False]
+            lines += [f"{each.about} {each.found}, {each.asked} asked" for each in broken]
+            if chosen is not None and chosen.module is not None:
+                lines.append(f"{chosen.name}: {chosen.module}")
         met = self.state.requirements if detector and "requirements" in self.shows else None
         if met is not None:
             lines.append(f"requirements: {met.is_point_met.mean():.1%} of points met (discs), the rest has crosses")
@@ -458,15 +558,18 @@ class Inspector:
             self._numbers = add_text(self.plotter, text, (0.02, 0.80), size=10, name="numbers")
         self._numbers.input = text
 
-    def _draw_view(self) -> None:
+    def _draw_view(self, *, detector: bool = True) -> None:
         """The image of the chosen camera with its boxes, in the lower right corner."""
         if self.chosen is None:
             self.plotter.remove_actor("view")
             self._view = None
             return
-        self._view = _image_actor(self.view_rgb())
+        image = _image(self.view_rgb(detector=detector))
+        if self._view is None:
+            self._view = _image_actor()
+            self.plotter.add_actor(self._view, name="view")
+        self._view.GetMapper().SetInputData(image)
         self._put_view()
-        self.plotter.add_actor(self._view, name="view")
 
     def _put_view(self) -> None:
         """Put the image of the chosen camera into the corner of the window as it is now."""
@@ -474,49 +577,59 @@ class Inspector:
             width_px = self._view.GetMapper().GetInput().GetDimensions()[0]
             self._view.SetPosition(self.plotter.render_window.GetSize()[0] - 16 - width_px, 44)
 
-    def view_rgb(self) -> np.ndarray:
+    def view_rgb(self, *, detector: bool = True) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
         from warpav.detection import render_images
         from warpav.view.figures._images import own_body_tinted
 
         assert self.chosen is not None
-        observed, packed = self.state.observation.cameras[self.chosen], self.state.packed
-        [image] = render_images(packed, [self.state.rig.cameras[self.chosen]], device=str(packed.raster.device))
-        shown_rgb = own_body_tinted(observed.image_rgb, image.object_index)
-        return _framed_view(replace(observed, image_rgb=shown_rgb), camera_rgb(self.chosen))
+        camera, packed = self.state.rig.cameras[self.chosen], self.state.packed
+        if not detector:
+            scale = _VIEW_PX / max(camera.model.width_px, camera.model.height_px)
+            size_px = (max(8, round(scale * each)) for each in (camera.model.width_px, camera.model.height_px))
+            camera = replace(camera, model=camera.model.resized(*size_px))
+        [image] = render_images(packed, [camera], device=str(packed.raster.device))
+        observed = self.state.observation.cameras[self.chosen] if detector else None
+        shown_rgb = own_body_tinted(image.rgb if observed is None else observed.image_rgb, image.object_index)
+        return _framed_view(shown_rgb, observed, camera_rgb(self.chosen))
 
 
-def _framed_view(observed: CameraObservation, border_rgb: tuple[int, int, int]) -> np.ndarray:
-    """A camera's image with boxes and a coloured border, uint8 [row, column, 3]."""
+def _framed_view(
+    shown_rgb: np.ndarray, observed: CameraObservation | None, border_rgb: tuple[int, int, int]
+) -> np.ndarray:
+    """A camera's image with a coloured border, and boxes where they are known, uint8 [row, column, 3]."""
     import cv2
 
-    scale = _VIEW_PX / max(observed.image_rgb.shape[:2])
-    enlarged = cv2.resize(observed.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+    scale = _VIEW_PX / max(shown_rgb.shape[:2])
+    enlarged = cv2.resize(shown_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
 
     def draw(box: np.ndarray, rgb: tuple[int, int, int], width: int) -> None:
         x0, y0, x1, y1 = (int(round(float(value) * scale)) for value in box)
         cv2.rectangle(enlarged, (x0, y0), (x1, y1), rgb, width)
 
-    matched = set(observed.match.tolist())
-    for k, box in enumerate(observed.detections.box_px):
-        draw(box, TRUE_POSITIVE_RGB if k in matched else FALSE_POSITIVE_RGB, 2)
-    for box, found in zip(observed.truth_box_px, observed.match, strict=True):
-        if found < 0 and np.isfinite(box).all():
-            draw(box, MISS_RGB, 2)
+    if observed is not None:
+        matched = set(observed.match.tolist())
+        for k, box in enumerate(observed.detections.box_px):
+            draw(box, TRUE_POSITIVE_RGB if k in matched else FALSE_POSITIVE_RGB, 2)
+        for box, found in zip(observed.truth_box_px, observed.match, strict=True):
+            if found < 0 and np.isfinite(box).all():
+                draw(box, MISS_RGB, 2)
     return cv2.copyMakeBorder(enlarged, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
 
 
-def _image_actor(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a vtkActor2D)
+def _image(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a pyvista.ImageData)
+    rows, columns = image_rgb.shape[:2]
+    grid = load_pyvista().ImageData(dimensions=(columns, rows, 1))
+    grid.point_data["rgb"] = np.ascontiguousarray(image_rgb[::-1]).reshape(-1, 3)
+    grid.set_active_scalars("rgb")
+    return grid
+
+
+def _image_actor() -> Any:  # noqa: ANN401 (a vtkActor2D)
     """An image in the plane of the window, with its lower left corner in that of the window."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
-    pyvista = load_pyvista()
-    rows, columns = image_rgb.shape[:2]
-    grid = pyvista.ImageData(dimensions=(columns, rows, 1))
-    grid.point_data["rgb"] = np.ascontiguousarray(image_rgb[::-1]).reshape(-1, 3)
-    grid.set_active_scalars("rgb")
     mapper = vtkImageMapper()
-    mapper.SetInputData(grid)
     mapper.SetColorWindow(255.0)
     mapper.SetColorLevel(127.5)
     actor = vtkActor2D()

@@ -255,6 +255,10 @@ def coverage_to_pyvista(coverage: Coverage) -> PolyData:
     return surface
 
 
+BIT_CAMERAS = 31
+"""Cameras of which the ground knows which see it, each a bit of a number."""
+
+
 def add_coverage(
     plotter: Plotter, coverage: Coverage, *, height_m: float | None = None, name: str = "coverage", legend: bool = True
 ) -> PolyData:
@@ -265,6 +269,9 @@ def add_coverage(
     surface = coverage_to_pyvista(coverage)
     surface.cell_data["RGBA"] = np.zeros((surface.n_cells, 4), np.uint8)
     colour_coverage(surface, coverage, height_m)
+    row, column = np.nonzero(coverage.is_open.any(axis=0))
+    is_seen = coverage.is_seen[:BIT_CAMERAS, coverage.heights_m.index(height_m), row, column]
+    surface.cell_data["seen_by"] = (1 << np.arange(len(is_seen))) @ is_seen
     paint(plotter, surface, colours="RGBA", name=name)
     if legend:
         who = patch_words(height_m)

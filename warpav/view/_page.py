@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from warpav.view._opengl import load_pyvista, optional_module
-from warpav.view._palette import INK_RGB, camera_rgb, hex_colour
+from warpav.view._palette import COVERAGE_RGB, INK_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     Plotter = Any
@@ -31,7 +31,7 @@ _SHIFTS = np.array([65536, 256, 1])
 _LABELS = "-labels"
 """What pyvista adds to the names of labels."""
 
-_OF_SCENE = ("scene/", "coverage", "ground", "legend/", "visibility/", "outcomes/")
+_OF_SCENE = ("scene/", "coverage", "ground", "legend/", "visibility/", "outcomes/", "rings/")
 """First parts of the names of what another scene has another one of."""
 
 
@@ -61,6 +61,7 @@ class _Page:
             lighting=1.8,
         )
         self._tags: list[dict[str, str]] = []
+        self._seen_by: dict[str, list[int]] = {}  # by which cameras triangles of the ground are seen, as bits
         camera = view_of.camera
         self._camera = [float(each) for each in (*camera.position, *camera.focal_point, *camera.up)]
         self._plot.camera, self._plot.camera_fov = self._camera, float(camera.view_angle)
@@ -102,26 +103,28 @@ class _Page:
         triangle = np.asarray(surface.regular_faces, np.uint32)
         point_m = np.asarray(surface.points, np.float32)
         at_corner, opacity = _colours(surface, actor), float(actor.prop.opacity)
+        seen_by = np.asarray(surface.cell_data["seen_by"]) if "seen_by" in surface.cell_data else None
         if at_corner is not None:
             if at_corner.shape[1] == 4:  # of the ground: nobody stands where nothing is painted
                 is_shown = at_corner[:, 3].reshape(-1, 3).any(axis=1)
                 triangle, at_corner = triangle[is_shown], at_corner[np.repeat(is_shown, 3)]
+                seen_by = None if seen_by is None else seen_by[is_shown]
                 opacity *= float(at_corner[:, 3].mean()) / _OPAQUE if len(triangle) else 0.0
             point_m, triangle = point_m[triangle.ravel()], np.arange(triangle.size, dtype=np.uint32).reshape(-1, 3)
         if not triangle.size or opacity <= 0.0:
             return
-        self._put(
-            self._k3d.mesh(
-                point_m,
-                triangle,
-                color=_packed(actor.prop.color) if at_corner is None else 0xFFFFFF,  # both are multiplied
-                colors=[] if at_corner is None else (at_corner[:, :3] @ _SHIFTS).astype(np.uint32),
-                opacity=opacity,
-                flat_shading=True,
-                side="double",
-            ),
-            tags,
+        drawn = self._k3d.mesh(
+            point_m,
+            triangle,
+            color=_packed(actor.prop.color) if at_corner is None else 0xFFFFFF,  # both are multiplied
+            colors=[] if at_corner is None else (at_corner[:, :3] @ _SHIFTS).astype(np.uint32),
+            opacity=opacity,
+            flat_shading=True,
+            side="double",
         )
+        if seen_by is not None:
+            self._seen_by[str(drawn.id)] = seen_by.tolist()
+        self._put(drawn, tags)
 
     def _add_lines(self, surface: Any, actor: Any, tags: _Tags) -> None:  # noqa: ANN401 (of pyvista)
         cells, at = np.asarray(surface.lines), 0
@@ -152,6 +155,8 @@ class _Page:
             "lines": list(self._lines),
             "controls": [asdict(each) for each in self._controls],
             "tags": self._tags,
+            "seenBy": self._seen_by,
+            "palette": (np.array(COVERAGE_RGB) @ _SHIFTS).tolist(),
             "camera": self._camera,
         }
         panel = resources.files("warpav.view").joinpath("page_panel.js").read_text(encoding="utf-8")
@@ -159,7 +164,7 @@ class _Page:
         told = json.dumps(words).replace("<", "\\u003c")
         page = self._plot.get_snapshot(additional_js_code=f"const words = {told};\n{panel}")
         begin, end = page.index("<title>"), page.index("</title>")
-        return page[:begin] + "<title>" + html.escape(self._title) + page[end:]
+        return page[:begin] + "<title>" + html.escape(f"{self._title} - warpav") + page[end:]
 
 
 _GROUND = "ground seen by no camera (red), one, two or more (blue)"

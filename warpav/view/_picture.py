@@ -71,8 +71,8 @@ _GROUND_CUT_M = 0.6
 _AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68), "z up": (36, 92, 214)}
 """Of the ego frame."""
 
-_RING_HEIGHT_M = 0.18
-"""Of the texts of range rings: above kerbs, which would hide them."""
+_RING_LIFT_M, _RING_HEIGHT_M = 0.1, 0.1
+"""Of range rings above the ground, so that what is painted there does not hide them, and of their texts above them."""
 
 _GRADE_MAX = 0.08
 """Streets may rise by so much for each metre away from the vehicle and still be ground."""
@@ -306,21 +306,30 @@ def _add_ground(
 
 
 def add_range_rings(
-    plotter: Plotter, bounds_m: np.ndarray | None, *, radius_m: Sequence[float] = (5.0, 10.0, 20.0, 40.0)
+    plotter: Plotter, scene: Scene | None, *, radius_m: Sequence[float] = (5.0, 10.0, 20.0, 40.0)
 ) -> None:
-    """Add circles on the ground around the middle of a vehicle's bounds, each with its radius; None takes them away."""
+    """Add circles on the ground around the middle of a scene's vehicle, each with its radius; None takes them away.
+
+    They follow the ground, up kerbs and down slopes.
+    """
+    from warpav.rig import ray_caster
+
     remove(plotter, "rings")
-    if bounds_m is None:
+    if scene is None:
         return
-    middle_m = np.asarray(bounds_m, np.float64)[:, :2].mean(axis=0)
-    angle = np.linspace(0.0, 2.0 * math.pi, 181)
-    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    middle_m = np.asarray(scene.ego.bounds_m(), np.float64)[:, :2].mean(axis=0)
+    angle, caster = np.linspace(0.0, 2.0 * math.pi, 361), ray_caster(scene.environment)
     style = {"color": INK_RGB, "line_width": 1.5, "opacity": 0.7, "lighting": False}
+    at_m = []
     for radius in radius_m:
-        line = load_pyvista().lines_from_points(radius * circle + [*middle_m, 0.04])
-        plotter.add_mesh(line, **style, name=f"rings/{radius:g} m")
-    at_m = np.array([[middle_m[0] + radius, middle_m[1], _RING_HEIGHT_M] for radius in radius_m])
-    add_labels(plotter, at_m, [f"{radius:g} m" for radius in radius_m], size=14, name="rings/labels")
+        top_m = np.full(len(angle), _GROUND_CUT_M + _GRADE_MAX * radius)
+        ring_m = np.column_stack([radius * np.cos(angle) + middle_m[0], radius * np.sin(angle) + middle_m[1], top_m])
+        down = np.tile(np.array([0.0, 0.0, -1.0], np.float32), (len(angle), 1))
+        fall_m = np.asarray(caster.run(ring_m.astype(np.float32), down, query="DISTANCE"), np.float64)
+        ring_m[:, 2] -= np.where(fall_m < 2.0 * top_m, fall_m, top_m) - _RING_LIFT_M
+        plotter.add_mesh(load_pyvista().lines_from_points(ring_m), **style, name=f"rings/{radius:g} m")
+        at_m.append(ring_m[0] + [0.0, 0.0, _RING_HEIGHT_M])
+    add_labels(plotter, np.array(at_m), [f"{radius:g} m" for radius in radius_m], size=14, name="rings/labels")
 
 
 def _add_axes(plotter: Plotter, *, length_m: Sequence[float] | np.ndarray, thick: float = 1.0) -> None:

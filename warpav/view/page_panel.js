@@ -32,6 +32,21 @@ const show = () => {
   K3DInstance.render();
 };
 
+// The ground by how many of the ticked cameras see it; each is a bit of `seenBy`, by triangle.
+const paint = () => {
+  const cameras = words.controls.find(({ key }) => key === "camera").values;
+  const ticked = cameras.reduce((bits, name, k) => bits | (shown.get("camera").has(name) && k < 31 ? 1 << k : 0), 0);
+  for (const [id, seenBy] of Object.entries(words.seenBy)) {
+    const { colors } = objects[id];
+    seenBy.forEach((bits, k) => {
+      let count = 0;
+      for (let left = bits & ticked; left; left &= left - 1) count += 1;
+      colors.data.fill(words.palette[Math.min(count, words.palette.length - 1)], 3 * k, 3 * k + 3);
+    });
+    K3DInstance.reload(objects[id], { colors }, true);
+  }
+};
+
 const panel = element("div", { id: "panel" }, element("h1", { textContent: words.title }));
 for (const line of words.lines) panel.append(element("div", { textContent: line }));
 for (const { key, label, kind, values, colours } of words.controls) {
@@ -50,6 +65,7 @@ for (const { key, label, kind, values, colours } of words.controls) {
       box.onchange = () => {
         if (box.checked) shown.get(key).add(value);
         else shown.get(key).delete(value);
+        if (key === "camera") paint();
         show();
       };
       const dot = element("i");
