@@ -155,7 +155,7 @@ class DetectionProbability:
     def unfitted(cls, *, network_scale: tuple[float, float] = (1.0, 1.0)) -> DetectionProbability:
         """A model that knows no detector: every seen object has an even chance, and the features are those of any."""
         curves = (np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)))
-        return cls(*curves, 0.0, network_scale=network_scale)
+        return cls(*curves, np.zeros(1), network_scale=network_scale)
 
     def __post_init__(self) -> None:
         if self.coefficient.ndim == 2:

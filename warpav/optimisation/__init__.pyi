@@ -13,7 +13,6 @@ from warpav.optimisation._constraints import Constraints as Constraints
 from warpav.optimisation._constraints import Margin as Margin
 from warpav.optimisation._constraints import ZoneAndSpacing as ZoneAndSpacing
 from warpav.optimisation._constraints import do_not_fit as do_not_fit
-from warpav.optimisation._constraints import min_camera_distance_m as min_camera_distance_m
 from warpav.optimisation._constraints import too_near as too_near
 from warpav.optimisation._further_camera import PLACE_M as PLACE_M
 from warpav.optimisation._further_camera import FurtherCameras as FurtherCameras

@@ -103,7 +103,7 @@ class CameraJacobians:
             seen = self.probability.model.of_measures(
                 leaves[0],
                 leaves[1],
-                WholeObjects(*leaves[2:], wp.array(shown.kind, dtype=int, device=device)),
+                WholeObjects(leaves[2], leaves[3], leaves[4], wp.array(shown.kind, dtype=int, device=device)),
                 wp.array(shown.contrast, dtype=float, device=device),
                 width_px=self.camera.width_px,
                 height_px=self.camera.height_px,

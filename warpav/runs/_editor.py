@@ -122,7 +122,7 @@ def search_from(
     Raises:
         InputError: The cameras are neither of one model nor all modules, or they cannot be placed.
     """
-    from warpav.runs._optimise import optimise
+    from warpav.runs._jobs import optimise
     from warpav.runs._placement import Placement
 
     if scenes is None:

@@ -237,7 +237,9 @@ def detection_probability_kernel(
     feature[v, k, CONTRAST] = contrast[v, k]
     feature[v, k, ELEVATION] = elevation[v, k]
     feature[v, k, UPRIGHT] = upright[v, k]
-    q = wp.where(kind[k] < constant.shape[0], kind[k], 0)
+    q = int(0)
+    if kind[k] < constant.shape[0]:
+        q = kind[k]
     logit = (
         constant[q]
         + _cubic_spline(coefficient, q, VISIBLE_SIZE, start, step, size)
