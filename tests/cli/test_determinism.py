@@ -53,5 +53,5 @@ def test_processes_give_the_bytes_of_one(expected, monkeypatch):
 def test_hashes_tell_what_is_another(expected, monkeypatch):
     stopped("pool", "another", monkeypatch, "scenes.train_seeds=[0, 2]", "rig.height_offset_m=0.3", after=0)
     found, known = hashes_of("another"), hashes_of(expected)
-    assert set(found) == {"configuration", "scenes", "vehicle", "cameras", "detector", "version"}
+    assert set(found) == {"configuration", "scenes", "vehicle", "cameras", "detector", "version", "start", "objective"}
     assert {name for name in found if found[name] != known[name]} == {"configuration", "scenes"}

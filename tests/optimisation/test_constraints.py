@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
 from warpav.core.errors import InputError
-from warpav.optimisation import CameraMount, FrozenCameras, ZoneAndSpacing, min_camera_distance_m
+from warpav.optimisation import CameraMount, FrozenCameras, ZoneAndSpacing
+from warpav.optimisation._constraints import min_camera_distance_m
 from warpav.raster.camera import CameraModel
 from warpav.rig import MountSurface, Rig, RigCamera, mount_surface_from_mesh
 from warpav.scene import ego_vehicle

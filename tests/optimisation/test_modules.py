@@ -478,7 +478,7 @@ def test_a_pair_detects_what_one_of_its_cameras_does():
         for camera in rig.cameras:
             views = views_of_rig(Rig([camera]), rotation_count=1, rotation_step_rad=0.0)
             frame = Renderer([camera.model]).render(scene.raster, views.position_ego_m, views.camera_from_ego)
-            found = of_model[camera.model].model.of_coverage(frame, scene, views.position_ego_m)
+            found = of_model[camera.model].model.of_coverage(frame, scene, views.position_ego_m, views.camera_from_ego)
             alone.append(found.probability.numpy()[0])
         expected = [1.0 - np.prod(1.0 - np.array(alone)[row == k], axis=0) for k in range(len(pose))]
         found = cameras.detection_probability(pose, scene)

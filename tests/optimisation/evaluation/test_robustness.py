@@ -107,7 +107,7 @@ def test_of_a_symmetric_rig_each_camera_of_a_pair_is_soiled_by_itself():
         packed = DeviceScene.pack(scene)
         views = views_of_rig(Rig([camera]), rotation_count=1, rotation_step_rad=0.0)
         frame = Renderer([camera.model]).render(packed.raster, views.position_ego_m, views.camera_from_ego)
-        seen = of_model[camera.model].model.of_coverage(frame, packed, views.position_ego_m)
+        seen = of_model[camera.model].model.of_coverage(frame, packed, views.position_ego_m, views.camera_from_ego)
         return seen.probability.numpy()[0]
 
     clean = [[detected(each, scene) for scene in scenes] for each in rig.cameras]
