@@ -269,10 +269,10 @@ class Pace:
         self.learn(pool)
         threads, count = pool.cameras.scenes_at_once, len(pool.scenes)
         seconds = self._seconds * count * (of_pool + SLOPE_COST * later) / threads
-        time_text = f"about {_duration(seconds)}" if seconds else "what is drawn already takes no time"
         drawing, used = pool.cameras.drawing_bytes(of_pool), peak_bytes()
-        memory = 0 if used is None or not drawing else used + (1 + with_points) * drawing
+        memory = 0 if used is None else used + (1 + with_points) * drawing
         memory_text = f" and {(memory + 16 * of_pool * len(pool.scene_index)) / 1e9:.1f} GB of memory" if memory else ""
+        time_text = f"about {_duration(seconds)}"
         return f"{time_text}{memory_text} for the search, which draws some {of_pool + later} cameras in {count} scenes"
 
 
