@@ -32,7 +32,7 @@ def selected(bound, pool_cameras=20, camera_renders=100, stage="selection"):
 
 
 def placement_of(*options, **changed):
-    probability = model_of(np.random.default_rng(1), 0.3)
+    probability = model_of(np.random.default_rng(0), 0.3)
     config = wa.Config.load("quick", *BASE, *options)
     return wa.Placement(wa.town([0, 1]), config=config, probability=probability, **changed)
 
@@ -77,8 +77,8 @@ def test_every_selection_has_a_bound_over_its_own_pool(result):
     assert len(bounds) == sum(record.stage == "selection" for record in result.records) >= 2
     assert result.certificate.scenes == 2
     for before, after in itertools.pairwise(bounds):
-        assert after.pool_cameras >= before.pool_cameras
-        assert after.camera_renders >= before.camera_renders
+        assert after.pool_cameras > before.pool_cameras
+        assert after.camera_renders > before.camera_renders
     # between two selections the records keep the bound together with the pool that it is over, not the larger one
     for record in result.records:
         known = [each for each in bounds if each.camera_renders <= record.camera_renders]

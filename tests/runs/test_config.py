@@ -186,6 +186,19 @@ def test_what_is_free_has_bounds_in_units_and_reads_back():
     assert free_ranges(load_config("thesis")) == FreeRanges()
 
 
+@pytest.mark.parametrize(
+    ("options", "confidence"),
+    [
+        (["scenes.targets=vehicle"], 0.4),
+        (["scenes.targets=[vehicle]"], 0.4),
+        (["scenes.targets=[vehicle, cyclist]"], 0.5),
+        (["scenes.targets=cyclist", "detector.confidence_min=0.3"], 0.3),
+    ],
+)
+def test_detections_count_from_half_a_false_alarm_an_image_on(options, confidence):
+    assert load_config("quick", options).detector.confidence_min == confidence
+
+
 def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):
     config = load_config(yaml_file("rig: {cameras: 3}\n"), ["rig.cameras=5", "rig.cameras=6"])
     assert config.rig.cameras == 6

@@ -324,7 +324,7 @@ def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(con
 
 
 class Told(NullProgress):
-    """Keeps the steps that it is told of; raises once a search has come to a stage."""
+    """Keeps the steps that it hears of; raises once a search has come to a stage."""
 
     def __init__(self, ends_at=None):
         self.ends_at, self.steps_of, self.said = ends_at, [], []

@@ -243,7 +243,7 @@ class Pace:
 
     def __init__(self) -> None:
         self.begin(0)
-        self._seconds = 0.0  # that a render takes; 0: nobody knows
+        self._seconds = 0.0  # that a render takes; 0: not known
 
     def begin(self, drawn_count: int) -> None:
         """From now on, with so many renders drawn, time counts."""
@@ -258,7 +258,7 @@ class Pace:
         self.begin(pool.drawn_count)
 
     def left_text(self, pool: CameraPool, planned: int) -> str:
-        """How long the rest of so many cameras in each scene takes, in words; nothing where nobody knows."""
+        """How long the rest of so many cameras in each scene takes, in words; empty where it is not known."""
         if pool.drawn_count - self._since[1] >= _LEARNT_CAMERAS * len(pool.scenes):
             self.learn(pool)
         left = planned * len(pool.scenes) - pool.drawn_count - pool.cached_count

@@ -115,7 +115,7 @@ def search_from(
     config: Config,
     scenes: Sequence[Scene] | None,
 ) -> None:
-    """Polish a rig, or look for the best place of one more camera; every better rig is told, with how far it is.
+    """Polish a rig, or look for the best place of one more camera; reports every better rig and the progress.
 
     On the chosen of some scenes, None: of the test scenes of the configuration.
 

@@ -440,7 +440,7 @@ class Inspector:
             self._redraw()
 
     def _move(self) -> None:
-        """Draw cameras where they are now; others than were drawn are drawn anew."""
+        """Draw cameras where they are now; others than were drawn are drawn again."""
         cameras = self.state.rig.cameras
         if self.chosen is not None and self.chosen >= len(cameras):
             self.chosen = None

@@ -690,7 +690,8 @@ class ConfigTree(Section):
             return merged(_shipped_values("thesis"), data)
         usual: dict[str, Any] = {"losses": METHOD_LOSSES[method]}
         scenes = data.get("scenes")
-        if isinstance(scenes, Mapping) and scenes.get("targets", ["vehicle"]) != ["vehicle"]:
+        vehicles = ("vehicle", ["vehicle"], ("vehicle",))
+        if isinstance(scenes, Mapping) and scenes.get("targets", "vehicle") not in vehicles:
             usual["detector"] = {"confidence_min": _CONFIDENCE_MIN_OF_ALL}
         return merged(usual, data)
 
