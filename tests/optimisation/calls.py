@@ -31,7 +31,7 @@ def polish(
 
 
 def _problem(probability, count, options):
-    names = ("conflict", "required", "rows", "weight", "triple")
+    names = ("conflict", "required", "rows", "weight", "triple", "cost")
     return SelectionProblem.create(probability, count, **{name: options.pop(name) for name in names if name in options})
 
 

@@ -116,6 +116,10 @@ def test_the_objective_is_the_weighted_mean_of_products(device):
     ).objective == pytest.approx(expected, rel=1e-5)
     [values] = rig_values_of(objective, scenes)(pose[None])
     assert values == pytest.approx(expected, rel=1e-5)
+    objective.options = dataclasses.replace(objective.options, false_alarms=0.5)
+    [with_false_alarms] = rig_values_of(objective, scenes)(pose[None])
+    doubtful = (p * (1.0 - p)).sum(axis=0)
+    assert with_false_alarms - values == pytest.approx(0.5 * (weight * doubtful).sum() / weight.sum(), rel=1e-3)
     # of one scene, as metrics have it
     of_first = (weight[:10] * np.prod(1.0 - p[:, :10], axis=0)).sum() / weight[:10].sum()
     assert objective.observe_rig(objective.mount.rig(pose), scenes[0])[2] == pytest.approx(of_first, rel=1e-4)

@@ -12,7 +12,6 @@ from tests.optimisation.calls import draw, pool_search
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
-from warpav.detection import expected_miss_rate
 from warpav.optimisation import PoolSearchSettings
 from warpav.optimisation import _pool as pool_module
 from warpav.optimisation import _pool_search as module
@@ -39,35 +38,48 @@ def short_refinement():
 
 
 @functools.cache
-def small_states():
+def small_states(cost=0.0):
     """The states of the plain search, for all tests that look at them."""
-    return searched()
+    return searched(charge=np.full(10, 0.1 * cost) if cost else None)
 
 
-def test_states_never_get_worse_and_satisfy_the_constraints():
+COSTS = pytest.mark.parametrize("cost", [0.0, 0.5], ids=["misses", "false alarms"])
+
+
+def value(found, cost):
+    """The expected miss rate, and so much for each p (1 - p)."""
+    return np.prod(1.0 - found, axis=0).mean() + cost * (found * (1.0 - found)).sum() / found.shape[1]
+
+
+@COSTS
+def test_states_never_get_worse_and_satisfy_the_constraints(cost):
     mount = mount_of(free=None)
-    states = small_states()
+    states = small_states(cost)
     assert states[0].stage == "selection"
     assert {state.stage for state in states} == {"selection", "polish", "pricing", "settled"}
     for before, after in itertools.pairwise(states):
         assert after.objective <= before.objective
         assert after.camera_renders >= before.camera_renders
-    constraints, weight = zone_of(mount), np.full(10, 0.1)
+    constraints = zone_of(mount)
     for state in states:
         assert constraints.violation_m(mount.rig(state.mount_pose)) == 0.0
         found = np.concatenate(
             [cameras_of(mount=mount).detection_probability(state.mount_pose, scene) for scene in streets()], axis=1
         )
-        assert expected_miss_rate(found, weight) == pytest.approx(state.objective, abs=1e-6)
+        assert value(found, cost) == pytest.approx(state.objective, abs=1e-6)
     assert states[-1].objective < states[0].objective
+    if cost:
+        return
     again = searched(mount)
     np.testing.assert_array_equal(again[-1].mount_pose, states[-1].mount_pose)
 
 
-def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
+@COSTS
+def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force(cost):
     mount = mount_of(free=None)
     constraints, cameras = zone_of(mount), cameras_of(mount=mount)
-    [chosen, _] = searched(mount, settings=replace(SMALL, polishes=False))
+    charge = np.full(10, 0.1 * cost) if cost else None
+    [chosen, _] = searched(mount, settings=replace(SMALL, polishes=False), charge=charge)
     pose = spread_mount_poses(mount, constraints, SMALL.pool_cameras, seed=0)
     pool = draw(pose, scenes=streets(), cameras=cameras)
     point = np.c_[pose[:, :2], mount.surface.height_at_m(pose[:, :2])]
@@ -76,7 +88,7 @@ def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
         for rig in itertools.combinations(range(len(pose)), 3)
         if all(np.linalg.norm(point[i] - point[j]) > 0.3 + 1e-6 for i, j in itertools.combinations(rig, 2))
     ]
-    best = min(expected_miss_rate(pool.detection_probability[list(rig)], np.full(10, 0.1)) for rig in rigs)
+    best = min(value(pool.detection_probability[list(rig)], cost) for rig in rigs)
     assert chosen.objective == pytest.approx(best, abs=1e-7)
     assert chosen.bound <= best + 1e-9
     assert chosen.gap == pytest.approx(0.0, abs=1e-6)
@@ -129,7 +141,7 @@ def test_the_start_comes_before_the_pool_is_drawn_and_changes_nothing_that_follo
     assert (first.stage, first.bound, first.pool_cameras, first.camera_renders) == ("start", 0.0, 3, 3 * len(scenes))
     assert drawn == [3] * len(scenes)
     found = np.concatenate([cameras.detection_probability(first.mount_pose, scene) for scene in scenes], axis=1)
-    assert first.objective == expected_miss_rate(found)
+    assert first.objective == pytest.approx(value(found, 0.0), abs=1e-12)
     rest = list(states)
     assert drawn == [3] * len(scenes) + [settings.pool_cameras] * len(scenes)
     assert (rest[0].stage, rest[0].pool_cameras) == ("selection", 3 + settings.pool_cameras)

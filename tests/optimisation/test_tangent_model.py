@@ -42,9 +42,13 @@ def test_with_both_planes_seen_the_model_is_what_a_render_finds():
     assert both.value(np.zeros((3, 7))) == pytest.approx(here.objective, abs=1e-3)
 
 
-def test_the_gradient_is_that_of_differences():
+@pytest.mark.parametrize("charge", [None, np.linspace(0.0, 0.4, 5)], ids=["misses", "false alarms"])
+def test_the_gradient_is_that_of_differences(charge):
     here, earlier, moved = two_sides(3)
-    model = TangentModel(here, WEIGHT, earlier=earlier, reach=REACH)
+    model = TangentModel(here, WEIGHT, earlier=earlier, reach=REACH, charge=charge)
+    unsure = here.probability * (1.0 - here.probability)
+    alone = TangentModel(here, WEIGHT, charge=charge).value(np.zeros((3, 7)))
+    assert alone - here.objective == pytest.approx(0.0 if charge is None else (unsure @ charge).sum(), abs=1e-6)
     moved[:, 0] = 0.302  # right at the kinks
     gradient = model.value_and_gradient(moved)[1]
     for camera, number in np.ndindex(3, 7):

@@ -30,6 +30,7 @@ from warpav.detection._miss_rate import SUREST as SUREST
 from warpav.detection._miss_rate import Fusion as Fusion
 from warpav.detection._miss_rate import expected_miss_rate as expected_miss_rate
 from warpav.detection._miss_rate import expected_miss_slope as expected_miss_slope
+from warpav.detection._miss_rate import false_alarm_cost as false_alarm_cost
 from warpav.detection._miss_rate import further_gain as further_gain
 from warpav.detection._miss_rate import missed_probability as missed_probability
 from warpav.detection._miss_rate import shares_of as shares_of

@@ -28,6 +28,16 @@ def expected_miss_slope(
     return -np.einsum("o,co,cok->ck", share, others, jacobian)
 
 
+def false_alarm_cost(detection_probability: np.ndarray, charge: np.ndarray | None) -> np.ndarray:
+    """What the false alarms of each camera cost, float64 [camera].
+
+    Where a detector may find an object or may not, it draws loose boxes, several, or of another kind: it raises false
+    alarms about in proportion to p (1 - p). ``charge``: of each of those, as a share of the misses, float [object].
+    """
+    found = np.minimum(np.asarray(detection_probability, np.float64), SUREST)
+    return np.zeros(len(found)) if charge is None else (found * (1.0 - found)) @ charge
+
+
 def shares_of(weight: np.ndarray | None) -> np.ndarray | None:
     """Weights of objects, of a sum above 0, divided by it, as `expected_miss_rate` takes them."""
     return None if weight is None else np.asarray(weight, np.float64) / np.sum(weight)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warpav.detection import expected_miss_rate, shares_of
+from warpav.detection import expected_miss_rate, false_alarm_cost, shares_of
 from warpav.optimisation._objective import RigObjective, single_cameras_of
 from warpav.optimisation._single_cameras import SingleCameras
 from warpav.optimisation._space import SearchSpace
@@ -26,14 +26,17 @@ def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> _
     if cameras is not None:
         [(weight, _)] = objective.losses
         object_weight = objective.object_weight(scenes)
-        return SingleCameraValues(cameras, [each.scene for each in scenes], weight=weight, object_weight=object_weight)
+        packed = [each.scene for each in scenes]
+        weights = {"object_weight": object_weight, "charge": objective.charge_of(packed)}
+        return SingleCameraValues(cameras, packed, weight=weight, **weights)
     return lambda rigs: (objective.evaluate(pose, scenes).objective for pose in rigs)
 
 
 class SingleCameraValues:
     """Expected miss rates of rigs by what their cameras detect by themselves, all rigs of a call rendered together.
 
-    They are those of the objective to 1e-6. ``weight`` is that of the expected miss rate in the value.
+    They are those of the objective to 1e-6, and what ``charge`` asks for false alarms, see `false_alarm_cost`.
+    ``weight`` is that of the expected miss rate in the value.
     """
 
     def __init__(
@@ -43,8 +46,10 @@ class SingleCameraValues:
         *,
         weight: float = 1.0,
         object_weight: np.ndarray | None = None,
+        charge: np.ndarray | None = None,
     ) -> None:
         self.cameras, self.scenes, self.weight, self.object_weight = cameras, tuple(scenes), weight, object_weight
+        self.charge = charge
         self._looked: list[tuple[np.ndarray, np.ndarray]] = []
 
     def __call__(self, rigs: np.ndarray) -> Iterator[float]:
@@ -55,7 +60,7 @@ class SingleCameraValues:
         self._looked.append((pose, found))
         share = shares_of(self.object_weight)
         for of_rig in found.reshape(rig_count, camera_count, -1):
-            yield self.weight * expected_miss_rate(of_rig, share)
+            yield self.weight * (expected_miss_rate(of_rig, share) + false_alarm_cost(of_rig, self.charge).sum())
 
     def detection_probability(self, mount_pose: np.ndarray) -> np.ndarray:
         """The probability that each camera detects each object, float32 [camera, object], scene by scene."""

@@ -93,6 +93,7 @@ class ObjectiveOptions:
     multiplier_damping: float = 0.0  # damping of the multipliers, at least 0; 0 as in the thesis
     lidar: LidarCurve = field(default_factory=LidarCurve)  # how many points it takes to find an object
     fusion: Fusion = field(default_factory=Fusion)  # which objects a camera and a LiDAR must find
+    false_alarms: float = 0.0  # cost of one p (1 - p), see `false_alarm_cost`, of one object missed, for searches
     cameras_have_bodies: bool = False  # whether the housings of cameras hide things where a rig is judged
 
 
@@ -244,6 +245,17 @@ class RigObjective:
         own = [None if importance is None else importance.weights(scene) for scene in scenes]
         parts = [fusion.weights(scene.distance_m, each) for scene, each in zip(scenes, own, strict=True)]
         return np.concatenate([np.zeros(0), *parts])
+
+    def charge_of(self, scenes: Sequence[DeviceScene]) -> np.ndarray | None:
+        """What searches charge for false alarms at the objects of scenes, float64 [object or column]; None: nothing."""
+        if not self.options.false_alarms:
+            return None
+        counts = [scene.vehicle_count for scene in scenes]
+        weight = self.weights_of(scenes)
+        share = np.full(sum(counts), 1.0 / max(sum(counts), 1)) if weight is None else weight / weight.sum()
+        if self.options.fusion.is_set:
+            share[Fusion.triples(counts)[:, 1:]] = 0.0
+        return self.options.false_alarms * np.abs(share)
 
     def columns_of(
         self, detection_probability: np.ndarray, scenes: Sequence[DeviceScene], is_lidar: Sequence[bool]

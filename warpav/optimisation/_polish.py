@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from warpav.detection import expected_miss_rate
+from warpav.detection import expected_miss_rate, false_alarm_cost
 from warpav.optimisation._camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation._constraints import Constraints
 from warpav.optimisation._mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
@@ -63,6 +63,7 @@ class PolishTask:
     scene_count: int  # camera renders that a camera costs
     weight: np.ndarray | None = None  # of each object, at least 0; None: all alike
     robust: RobustObjective | None = None  # what is minimised; None: the expected miss rate
+    charge: np.ndarray | None = None  # for false alarms at each object, see `false_alarm_cost`; None: nothing
     hard_points: HardPoints | None = None  # points that steps keep met as far as tangents tell
     # what a step of some reach [camera, 7] must leave between the cameras of a rig [camera, 7]
     pair_edges: Callable[[np.ndarray, np.ndarray], _Inequalities] | None = None
@@ -104,7 +105,8 @@ def polish(
     rig_value = None if robust is None else partial(robust.value_and_slope, size=size, softness=SOFTNESS)
 
     def value_of(found: np.ndarray) -> float:
-        return expected_miss_rate(found, shares) if robust is None else robust.of_rig(found, shares, size).objective
+        value = expected_miss_rate(found, shares) if robust is None else robust.of_rig(found, shares, size).objective
+        return value + float(false_alarm_cost(found, task.charge).sum())
 
     objective = value_of(probability)
     renders = len(pose) * task.scene_count
@@ -117,9 +119,8 @@ def polish(
     rendered = [here]
     refused: list[tuple[np.ndarray, Margins]] = []
     for length in _radii(steps.radius, step_count):
-        model = TangentModel(
-            here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
-        )
+        reach = REACH * length * step_unit(mount)
+        model = TangentModel(here, shares, earlier=rendered, reach=reach, rig_value=rig_value, charge=task.charge)
         edges = list[_Inequalities]()
         if hard_points is not None and here.margins is not None:
             found = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)

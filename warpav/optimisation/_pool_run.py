@@ -321,18 +321,17 @@ class PoolRun(PoolSearch):
         self._pace.begin(self.pool.drawn_count)
 
     def _terms(self, found: Found) -> dict[str, float]:
-        """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""
+        """The expected miss rate, and what else there is: false alarms, points of requirements, a lost camera."""
         robust, points = found.robust, self.task.requirements
         without = {} if robust is None else {"expected_miss_rate_without_camera": robust.without_camera}
-        if points is None:
-            return {"expected_miss_rate": found.objective if robust is None else robust.expected_miss_rate, **without}
         row = rows_of(found.mount_pose, found.pool.mount_pose)
-        probability, count = found.pool.detection_probability[row], points.vehicle_count
-        return {
-            "expected_miss_rate": expected_miss_rate(probability[:, :-count], shares_of(self.task.object_weight)),
-            "requirements": expected_miss_rate(probability[:, -count:], shares_of(points.weight)),
-            **without,
-        }
+        probability, count = found.pool.detection_probability[row], self.task.object_count
+        terms = {"expected_miss_rate": expected_miss_rate(probability[:, :count], shares_of(self.task.object_weight))}
+        if self.charge is not None:
+            terms["false_alarms"] = float(self._cost(probability).sum())
+        if points is not None:
+            terms["requirements"] = expected_miss_rate(probability[:, count:], shares_of(points.weight))
+        return terms | without
 
     def _record(self, found: Found, seconds: float) -> IterationRecord:
         if found.stage == "selection":

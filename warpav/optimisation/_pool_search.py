@@ -22,7 +22,7 @@ from scipy import sparse
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import Progress
-from warpav.detection import SUREST, expected_miss_rate, shares_of
+from warpav.detection import SUREST, expected_miss_rate, false_alarm_cost, shares_of
 from warpav.optimisation._camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation._constraints import Constraints, too_near
 from warpav.optimisation._hand_rigs import HandRig, by_hand
@@ -113,6 +113,7 @@ class PoolTask:
     camera_count: int  # cameras of the rig, frozen ones among them
     start: np.ndarray | None = None  # a rig whose cameras join the pool, so that the result is not worse
     object_weight: np.ndarray | None = None  # of the objects of all scenes, or their columns, of a sum above 0
+    charge: np.ndarray | None = None  # for false alarms at these, see `false_alarm_cost`; None: nothing
     limits: RigLimits | None = None  # how many cameras of each of the mount's modules a rig may have
     requirements: RequiredPoints | None = None  # points that have to be seen near the vehicle besides
     robust: RobustObjective | None = None  # what is minimised instead of the expected miss rate, see `camera_loss`
@@ -135,7 +136,8 @@ class PoolTask:
         count = objective.camera_count if limits is None else limits.count[1]
         weight = objective.object_weight(scenes)
         packed = [each.scene for each in scenes]
-        return cls(cameras, packed, objective.constraints, count, object_weight=weight, **others)
+        charge = None if others.get("robust") else objective.charge_of(packed)
+        return cls(cameras, packed, objective.constraints, count, object_weight=weight, charge=charge, **others)
 
     @property
     def object_count(self) -> int:
@@ -150,6 +152,13 @@ class PoolTask:
         alike = np.full(self.object_count, 1.0 / max(self.object_count, 1))
         share = alike if self.object_weight is None else self.object_weight / self.object_weight.sum()
         return np.concatenate([share, self.requirements.weight])
+
+    @property
+    def whole_charge(self) -> np.ndarray | None:
+        """The charge beside `whole_weight`, and nothing for the requirements' points, float64 [object]."""
+        if self.charge is None or self.requirements is None:
+            return self.charge
+        return np.pad(self.charge, (0, self.requirements.vehicle_count)) / self.whole_weight.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +222,7 @@ class PoolSearch:
         self.camera_count, self.limits = task.camera_count, task.limits
         self.rules, self._rule_rows = task.rules, list[str]()
         self.hand_rigs = list[HandRig]()
-        self.object_weight, self.robust = task.whole_weight, task.robust
+        self.object_weight, self.charge, self.robust = task.whole_weight, task.whole_charge, task.robust
         self.assembly = _Assembly(self.cameras.mount)
         # the cameras that it knows
         self.pool = CameraPool.empty(self.scenes, self.cameras, drawing) if pool is None else pool
@@ -377,8 +386,14 @@ class PoolSearch:
         """The objective of a rig of the pool, float32 [camera, 7]."""
         row = rows_of(rig, self.pool.mount_pose)
         robust = self._robust_value(row)
-        share = shares_of(self.object_weight)
-        return robust.objective if robust else expected_miss_rate(self.pool.detection_probability[row], share)
+        if robust is not None:
+            return robust.objective
+        found = self.pool.detection_probability[row]
+        return expected_miss_rate(found, shares_of(self.object_weight)) + float(self._cost(found).sum())
+
+    def _cost(self, detection_probability: np.ndarray) -> np.ndarray:
+        """What cameras cost by their false alarms, float64 [camera]."""
+        return false_alarm_cost(detection_probability, self.charge)
 
     def _settle_rules(self, rules: PoolRules) -> None:
         """The strictest levels of what a rig must see together that the cameras of the pool can keep."""
@@ -555,13 +570,15 @@ class PoolSearch:
         """What a rig is chosen from: the pool."""
         absent = 0 if self.limits is None else self.limits.absent
         rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
+        found = _with_absent(np.minimum(self.pool.detection_probability, SUREST), absent)
         return SelectionProblem.create(
-            _with_absent(np.minimum(self.pool.detection_probability, SUREST), absent),
+            found,
             self.camera_count,
             conflict=self._conflict(self.pool.mount_pose, absent),
             required=np.arange(len(self.assembly.frozen)),
             rows=rows,
             weight=self.object_weight,
+            cost=self._cost(found),
             triple=self.cameras.triples(self.scenes),
         )
 
@@ -643,6 +660,7 @@ class PoolSearch:
             self.constraints,
             len(self.scenes),
             weight=self.object_weight,
+            charge=self.charge,
             robust=self.robust,
             hard_points=self._hard_points,
             pair_edges=None if self.rules is None else self.rules.pair_edges,
@@ -690,7 +708,7 @@ class PoolSearch:
     def _ascend(self, price: Price, count: int) -> None:
         """Ascend from so many cameras; what is rendered on the way joins the pool."""
         found = np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST)
-        cost = price.reduced_cost(found, self._coefficients_for(self.pool.mount_pose))
+        cost = price.reduced_cost(found, self._coefficients_for(self.pool.mount_pose)) + self._cost(found)
         mount, unit = self.cameras.mount, step_unit(self.cameras.mount)
         pose = apart(self.pool.mount_pose[np.argsort(cost, kind="stable")], count, unit)
         length = np.full(len(pose), 0.5)
@@ -699,11 +717,13 @@ class PoolSearch:
         for _ in range(_PRICED_STEPS):
             probability, jacobian = self._detect(tried)
             probability = np.minimum(probability, SUREST)
-            cost = price.reduced_cost(probability, self._coefficients_for(tried))
+            cost = price.reduced_cost(probability, self._coefficients_for(tried)) + self._cost(probability)
             is_lower = cost < lowest
             length = np.where(is_lower, length, 0.4 * length)
             kept = np.where(is_lower[:, None], tried, kept)
-            downhill = -np.einsum("co,cok->ck", price.reduced_cost_slope(probability), jacobian) * unit
+            by_found = price.reduced_cost_slope(probability)
+            by_found += 0.0 if self.charge is None else self.charge * (1.0 - 2.0 * probability)
+            downhill = -np.einsum("co,cok->ck", by_found, jacobian) * unit
             slope = np.where(is_lower[:, None], downhill, slope)
             lowest = np.minimum(cost, lowest)
             norm = np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-12)
@@ -726,6 +746,7 @@ class PoolSearch:
             unit=step_unit(self.cameras.mount),
             weight=self.object_weight,
             robust=None if self.robust is None else (self.robust, self._sizes(pool.mount_pose)),
+            charge=self.charge,
         )
 
     def _rows_of_best(self) -> np.ndarray:
@@ -741,7 +762,8 @@ class PoolSearch:
             if self._affordable(2) < 2:
                 break
             weight = replacements.missed_by_others[slot]
-            task = PolishTask(mount, constraints, len(self.scenes), weight=weight)
+            charge = None if self.charge is None else self.charge * len(weight) / weight.sum()
+            task = PolishTask(mount, constraints, len(self.scenes), weight=weight, charge=charge)
             steps = PolishSteps(*_REPLACEMENT_POLISH, camera_renders_max=self._left)
             *_, last = polish(pose[camera][None], self._detect, task, steps)
             self._places += [pose[camera][None], last.mount_pose]
@@ -757,13 +779,15 @@ class PoolSearch:
         self.pool = pool = self.pool.extended(near.astype(np.float32))
         rig = self._rows_of_best()
         around = np.union1d(rig, np.arange(before, len(pool.mount_pose)))  # frozen cameras are the pool's first
+        found = np.minimum(pool.detection_probability[around], SUREST)
         problem = SelectionProblem.create(
-            np.minimum(pool.detection_probability[around], SUREST),
+            found,
             len(rig),
             conflict=self._conflict(pool.mount_pose[around]),
             required=np.arange(len(self.assembly.frozen)),
             rows=self._rows_for(pool.mount_pose[around])[0],
             weight=self.object_weight,
+            cost=self._cost(found),
             triple=self.cameras.triples(self.scenes),
         )
         first = np.searchsorted(around, rig)[None]
@@ -790,7 +814,8 @@ def polish_start(task: PoolTask) -> Iterator[tuple[float, np.ndarray]]:
         kept["hard_points"] = HardPoints(rules.margins, rules.needed)
         kept["pair_edges"] = rules.pair_edges
         kept["is_allowed"] = lambda pose, _: rules.keeps(pose, frozen=np.zeros(len(pose), bool))
-    wanted = PolishTask(cameras.mount, constraints, len(task.scenes), weight=task.object_weight, **kept)
+    weights = {"weight": task.object_weight, "charge": task.charge}
+    wanted = PolishTask(cameras.mount, constraints, len(task.scenes), **weights, **kept)
     count, radius = _WHOLE_POLISH
     detect = partial(cameras.with_jacobian, scenes=task.scenes)
     for taken, step in enumerate(polish(start, detect, wanted, PolishSteps(count, radius))):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpav.detection import SUREST
+from warpav.detection import SUREST, false_alarm_cost
 from warpav.optimisation._camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation._mount import YAW_RAD
 from warpav.optimisation._pool import CameraPool
@@ -37,10 +37,12 @@ class Replacements:
         unit: np.ndarray,
         weight: np.ndarray | None = None,
         robust: tuple[RobustObjective, np.ndarray] | None = None,
+        charge: np.ndarray | None = None,
     ) -> None:
         """All replacements of a single camera. ``held`` int [held camera]; ``replaced`` int [slot].
 
-        ``is_apart`` bool [camera, rig camera]; ``unit`` float [7]; ``robust`` int [camera].
+        ``is_apart`` bool [camera, rig camera]; ``unit`` float [7]; ``robust`` int [camera]; ``charge`` as of
+        `false_alarm_cost`.
         """
         rig = np.concatenate([held, replaced])
         self._pose, self._unit, self._of_slot = np.asarray(pool.mount_pose, np.float64), unit, replaced
@@ -62,7 +64,8 @@ class Replacements:
             value = [objective.of_completed(missed.T, share, rig[each][None], size) for each in others]
             miss_rate = np.concatenate(value, axis=1)
         can_be = np.stack([is_apart[:, each].all(axis=1) for each in others], axis=1) & fits[:, len(held) :]
-        self.miss_rate = np.where(can_be, miss_rate, np.inf)  # expected miss rate, or robust objective
+        miss_rate = miss_rate + false_alarm_cost(pool.detection_probability, charge)[:, None]
+        self.miss_rate = np.where(can_be, miss_rate, np.inf)  # or robust objective; without what the others cost
 
     def starts(self, count: int, known: np.ndarray) -> list[tuple[int, int]]:
         """The best replacements that are a unit and more from each other, from the rig and from known places.

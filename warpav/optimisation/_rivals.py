@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import OptionError, install_text
-from warpav.detection import SUREST
+from warpav.detection import SUREST, false_alarm_cost
 from warpav.optimisation._budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation._constraints import Constraints, too_near
 from warpav.optimisation._mount import X_M, Y_M, YAW_RAD
@@ -92,6 +92,7 @@ def selected_search(
         conflict=too_near(pose[row], space.constraints),
         required=np.arange(held),
         weight=single.object_weight,
+        cost=false_alarm_cost(found[row], single.charge),
         triple=single.cameras.triples(single.scenes),
     )
     selection = select(problem, start=start, gap=gap, time_limit_s=time_limit_s, seed=seed)

@@ -144,14 +144,16 @@ class TangentModel:
         earlier: Sequence[Rendered] = (),
         reach: np.ndarray | float = 0.0,
         rig_value: _RigValue | None = None,
+        charge: np.ndarray | None = None,
     ) -> None:
-        """A model of what was rendered. ``reach`` float [7]."""
+        """A model of what was rendered. ``reach`` float [7]; ``charge`` as of `false_alarm_cost`."""
         self._rig_value = rig_value
         is_seen = here.probability > 0.0
         # an object that no camera sees at all has no Jacobian
         used = is_seen.any(axis=0)
         self._missed_anyway = float(weight[~used].sum())
         self._weight, self._is_seen = weight[used], is_seen[:, used]
+        self._charge = np.zeros(used.sum()) if charge is None else charge[used]
         near = [_near(camera, here, earlier, reach) for camera in range(len(is_seen))]
         count = 1 + max(map(len, near))
         logit = np.full((len(near), count, len(self._weight)), np.inf)
@@ -186,6 +188,9 @@ class TangentModel:
         else:
             value, by_missed = self._rig_value(missed, self._weight)
             by_logit = -by_missed * missed * probability
+        unsure = missed * probability
+        value += float((unsure @ self._charge).sum())
+        by_logit = by_logit + self._charge * unsure * (missed - probability)
         by_tangent = (share * (by_logit / total)[:, None]).reshape(len(share), 1, -1)
         return value + self._missed_anyway, (by_tangent @ self._slope)[:, 0]
 

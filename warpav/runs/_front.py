@@ -169,8 +169,11 @@ def front(
     if robust.asked_for is not None:
         text = "expected null, as the rigs of a front are compared by their expected misses"
         raise OptionError(robust.asked_for, f"{text}, got {getattr(robust, robust.asked_for.partition('.')[2])}")
-    if placement.config.requirements == AUTO:  # its rigs are compared by what they are expected to miss
-        placement = placement.with_config(placement.config.replace({"requirements": None}))
+    # its rigs are compared by what they are expected to miss
+    plain: dict[str, Any] = {"losses.false_alarms": 0.0}
+    if placement.config.requirements == AUTO:
+        plain["requirements"] = None
+    placement = placement.with_config(placement.config.replace(plain))
     has_requirements = bool(placement.requirements)
     with shown_progress(progress) as shown:
         placement.prepare(shown)

@@ -350,6 +350,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
         lidar=config.lidar.curve,
         fusion=config.lidar.fused,
+        false_alarms=config.losses.false_alarms,
         cameras_have_bodies=config.keeps_rules,
     )
 

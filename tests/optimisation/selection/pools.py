@@ -29,12 +29,13 @@ def every_rig(cameras, count, *, conflict=None, required=(), rows=()):
             yield rig
 
 
-def miss_rate(probability, rig, weight=None):
-    """Expected miss rate of a rig."""
-    return np.average(np.prod(1.0 - np.asarray(probability, float)[list(rig)], axis=0), weights=weight)
+def miss_rate(probability, rig, weight=None, cost=None):
+    """Expected miss rate of a rig, and the cost of its cameras."""
+    missed = np.average(np.prod(1.0 - np.asarray(probability, float)[list(rig)], axis=0), weights=weight)
+    return missed + (0.0 if cost is None else cost[list(rig)].sum())
 
 
-def best_by_brute_force(probability, count, *, weight=None, **constraints):
+def best_by_brute_force(probability, count, *, weight=None, cost=None, **constraints):
     """The lowest expected miss rate of all rigs; None where none satisfies the constraints."""
     rigs = every_rig(len(probability), count, **constraints)
-    return min((miss_rate(probability, rig, weight) for rig in rigs), default=None)
+    return min((miss_rate(probability, rig, weight, cost) for rig in rigs), default=None)

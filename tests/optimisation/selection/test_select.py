@@ -45,6 +45,8 @@ def choices(draw):
             Row("roof", zone, low=low, high=low + rng.integers(0, 2)),
         ][: draw(st.integers(1, 2))]
     weight = rng.uniform(0.0, 2.0, objects) + 1e-3 if draw(st.booleans()) else None
+    if draw(st.booleans()):
+        constraints["cost"] = rng.uniform(0.0, 0.3, cameras)
     return probability, count, weight, constraints
 
 
@@ -68,8 +70,9 @@ def assert_best(probability, count, weight, constraints):
             select(probability, count, weight=weight, gap=0.0, **constraints)
         return
     found = select(probability, count, weight=weight, gap=0.0, **constraints)
+    cost = constraints.pop("cost", None)
     assert tuple(found.cameras) in set(every_rig(len(probability), count, **constraints))
-    assert found.objective == pytest.approx(miss_rate(probability, found.cameras, weight), abs=ROUNDING)
+    assert found.objective == pytest.approx(miss_rate(probability, found.cameras, weight, cost), abs=ROUNDING)
     assert found.objective <= best + 1e-9
     assert found.bound <= best + ROUNDING
     assert found.ended == "optimal"

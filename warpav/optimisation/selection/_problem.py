@@ -46,6 +46,7 @@ class SelectionProblem:
     high: np.ndarray  # greatest sums of the rows, likewise, float64 [row]
     row_scale: np.ndarray  # what the rows were divided by, > 0, float64 [row]
     rows: tuple[Row, ...]  # they as they were given
+    cost: np.ndarray  # what each camera costs, in misses, float64 [camera]
     both: np.ndarray  # objects as all sensors, as cameras, and as LiDARs miss them, of which both count, int [both, 3]
 
     @classmethod
@@ -59,8 +60,12 @@ class SelectionProblem:
         rows: Sequence[Row] = (),
         weight: np.ndarray | None = None,
         triple: np.ndarray | None = None,
+        cost: np.ndarray | None = None,
     ) -> SelectionProblem:
-        """What a rig is chosen from. ``conflict`` bool [camera, camera]; ``triple`` as of `Fusion`, int [object, 3]."""
+        """What a rig is chosen from. ``conflict`` bool [camera, camera]; ``triple`` as of `Fusion`, int [object, 3].
+
+        ``cost`` float [camera], of each camera in its rig, beside the misses.
+        """
         probability = np.asarray(detection_probability, np.float64)
         if probability.ndim != 2 or 0 in probability.shape:
             raise ArgumentError(
@@ -103,6 +108,7 @@ class SelectionProblem:
             required=fixed,
             conflict=_checked_conflict(conflict, cameras),
             **_checked_rows(rows, cameras),
+            cost=np.zeros(cameras) if cost is None else np.asarray(cost, np.float64),
             both=np.cumsum(is_seen)[both] - 1,
         )
 
@@ -150,6 +156,7 @@ class SelectionProblem:
         return replace(
             self,
             missed=np.ascontiguousarray(self.missed[:, camera]),
+            cost=self.cost[camera],
             required=np.searchsorted(camera, self.required),
             conflict=self.conflict[camera][:, camera],
             coefficient=self.coefficient[:, camera],
@@ -192,11 +199,12 @@ class SelectionProblem:
         weight[self.both[:, 1:]] = 0.0
         missed[self.both[:, 0]] = 1.0 - np.prod(self.most_found(every, ~every), axis=1)
         weight[self.both[:, 0]] *= -1.0
-        return self.unseen + float(weight @ missed) * (1.0 - 1e-12)
+        least_cost = np.partition(self.cost, self.count - 1)[: self.count].sum()
+        return self.unseen + (float(weight @ missed) + float(least_cost)) * (1.0 - 1e-12)
 
     def miss_rate(self, rig: np.ndarray) -> float:
-        """Expected miss rate of a rig, 0..1; its cameras are int [camera]."""
-        return self.unseen + float(self.weight @ np.prod(self.missed[:, rig], axis=1))
+        """Expected miss rate of a rig and the cost of its cameras, which are int [camera]."""
+        return self.unseen + float(self.weight @ np.prod(self.missed[:, rig], axis=1)) + float(self.cost[rig].sum())
 
     def is_feasible(self, rig: np.ndarray) -> bool:
         """Whether a rig, int [camera], satisfies all constraints."""
@@ -354,7 +362,8 @@ def exchange(
     """
 
     def miss_rates(others: np.ndarray) -> np.ndarray:
-        return problem.missed.T @ (np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None])
+        left = np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None]
+        return problem.missed.T @ left + problem.cost[:, None]
 
     rigs = np.array(rigs)
     every = np.arange(len(rigs))

@@ -186,7 +186,7 @@ class Relaxed:
 
 
 class Relaxation:
-    """Minimise the weighted sum of u under cuts, over shares 0..1 of the cameras that keep count and rows.
+    """Minimise the weighted sum of u, and the cameras' cost, under cuts, over shares 0..1 that keep count and rows.
 
     The model begins empty. Rounds add the cameras that its duals ask for and the cuts that its choice violates, those
     of cliques of conflicts among them. All of it serves every node, and the simplex goes on where it stopped.
@@ -258,7 +258,7 @@ class Relaxation:
         coefficient[~is_cut] = self._row[self._row_index[~is_cut]][:, camera]
         start, index, value = _sparse(coefficient.T, np.arange(len(coefficient)))
         zeros = np.zeros(len(camera))
-        self._model.addCols(len(camera), zeros, zeros, zeros + 1.0, len(value), start, index, value)
+        self._model.addCols(len(camera), self.problem.cost[camera], zeros, zeros + 1.0, len(value), start, index, value)
         self.cameras = np.concatenate([self.cameras, camera])
 
     def add_cuts(self, cut_object: np.ndarray, level: np.ndarray) -> None:
@@ -312,7 +312,8 @@ class Relaxation:
             fraction[self.cameras] = np.clip(value[self.problem.object_count :], 0.0, 1.0)
             support = np.flatnonzero(fraction > 1e-9)
             level, missed = self.most_violated(fraction, support)
-            relaxed, cost = self._bound(node, dual, fraction, self._missed_by(missed))
+            relaxed_value = self._missed_by(missed) + float(self.problem.cost @ fraction)
+            relaxed, cost = self._bound(node, dual, fraction, relaxed_value)
             if relaxed.bound >= best.bound or best.price is None:
                 best = relaxed
             else:  # the choice is newer, the duals are better
@@ -427,7 +428,7 @@ class Relaxation:
         row, row_dual, limit = (each[np.isfinite(limit)] for each in (row, row_dual, limit))
 
         cost = np.full(problem.camera_count, math.inf)
-        cost[allowed] = -gain - row_dual @ self._row[np.ix_(row, allowed)]
+        cost[allowed] = problem.cost[allowed] - gain - row_dual @ self._row[np.ix_(row, allowed)]
         free = np.where(node.required, math.inf, cost)
         order = np.argsort(free, kind="stable")
         left = problem.count - int(np.count_nonzero(node.required))

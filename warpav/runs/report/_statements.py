@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -365,7 +365,8 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     text = f"On the {_search_scenes(run)} scenes it {change}"
     if evaluation.robust is not None:
         return Statement("Objective", f"{text}: {_robust_text(evaluation.robust)}.")
-    text += ": expected misses and unmet points near the vehicle together" if _counts_points(run) else ""
+    more = [text for name, text in _FURTHER_TERMS.items() if name in _terms(run)]
+    text += f": {_listed(['expected misses', *more])} together" if more else ""
     broken = sum(not margin.is_kept for margin in (evaluation.rules or {}).get(evaluation.start, ()))
     if broken:
         text += f"; {_arm(evaluation.start)} breaks {_counted(broken, 'rule')}"
@@ -403,9 +404,13 @@ def _mount_errors(robust: Robust) -> str:
     return " and ".join(parts)
 
 
-def _counts_points(run: RunContent) -> bool:
-    """Whether requirements are part of what the search lowers."""
-    return bool(run.events and "requirements" in (run.events[-1].terms or {}))
+_FURTHER_TERMS = {"false_alarms": "what false alarms cost", "requirements": "unmet points near the vehicle"}
+"""Of the objective of a search, besides expected misses."""
+
+
+def _terms(run: RunContent) -> Collection[str]:
+    """What the search lowers."""
+    return (run.events[-1].terms or {}) if run.events else ()
 
 
 def _bound(run: RunContent) -> Statement | None:
@@ -419,7 +424,7 @@ def _bound(run: RunContent) -> Statement | None:
     training = None if run.evaluation is None else run.evaluation.training_objective
     handed_over = None if training is None else training.optimised
     objective = found.objective if handed_over is None else handed_over
-    if robust is not None or _counts_points(run):
+    if robust is not None or _FURTHER_TERMS.keys() & set(_terms(run)):
         bound, reached = f"has an objective below {number(found.bound, 4)}", number(objective, 4)
     else:
         bound = f"is expected to miss fewer than {number(100.0 * found.bound, 2)} of 100 {objects_name(run)}"
