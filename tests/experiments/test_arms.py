@@ -24,7 +24,6 @@ MISSES = (
     "method=default",
     *(f"losses.{name}={float(name == 'expected_miss_rate')}" for name in LOSSES),
     "losses.probability=visible_share",
-    "losses.false_alarms=0",
     "optimiser.selection_time_s=2",
     "optimiser.pool_cameras=16",
     "rig.start=highest",

@@ -187,16 +187,17 @@ def test_what_is_free_has_bounds_in_units_and_reads_back():
 
 
 @pytest.mark.parametrize(
-    ("options", "confidence"),
+    ("options", "confidence", "false_alarms"),
     [
-        (["scenes.targets=vehicle"], 0.4),
-        (["scenes.targets=[vehicle]"], 0.4),
-        (["scenes.targets=[vehicle, cyclist]"], 0.5),
-        (["scenes.targets=cyclist", "detector.confidence_min=0.3"], 0.3),
+        (["scenes.targets=vehicle"], 0.4, 0.0),
+        (["scenes.targets=[vehicle]"], 0.4, 0.0),
+        (["scenes.targets=[vehicle, cyclist]"], 0.5, 0.5),
+        (["scenes.targets=cyclist", "detector.confidence_min=0.3", "losses.false_alarms=0"], 0.3, 0.0),
     ],
 )
-def test_detections_count_from_half_a_false_alarm_an_image_on(options, confidence):
-    assert load_config("quick", options).detector.confidence_min == confidence
+def test_what_only_vehicles_do_without(options, confidence, false_alarms):
+    config = load_config("quick", options)
+    assert (config.detector.confidence_min, config.losses.false_alarms) == (confidence, false_alarms)
 
 
 def test_an_override_beats_the_file_and_the_last_one_wins(yaml_file):

@@ -65,7 +65,7 @@ class _Setting(_Part):
 
     options: tuple[str, ...] = ()
     budget: int | None = None
-    arms: tuple[str, ...] = ()
+    arms: tuple[str | _ArmFile, ...] = ()
     without: tuple[str, ...] = ()
     needs: str | None = None
 

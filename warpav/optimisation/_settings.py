@@ -126,11 +126,11 @@ class LossSettings(LossWeights):
         description="expected_miss_rate: any camera may find an object (noisy or), or the surest one alone counts",
     )
     false_alarms: float = Field(
-        default=0.5,
+        default=0.0,
         ge=0.0,
         le=10.0,
         description="expected_miss_rate, in the search by a pool without robust.camera_loss: what the false alarms at "
-        "doubtful sightings cost: so many missed road users for each p (1 - p)",
+        "doubtful sightings cost: so many missed road users for each p (1 - p); 0.5 if not only vehicles are targets",
     )
     probability: Literal["fitted", "visible_share", "in_frame_share"] = Field(
         default="fitted",
