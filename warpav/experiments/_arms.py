@@ -308,11 +308,16 @@ def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig
 
 
 def _pooled(
-    placement: Placement, camera_renders_max: int | None, *, only: Literal["pool", "by_hand"] | None = None
+    placement: Placement,
+    camera_renders_max: int | None,
+    *,
+    only: Literal["pool", "by_hand"] | None = None,
+    start_pose: np.ndarray | None = None,
 ) -> FoundRig:
-    """The search by a pool; ``only`` the best rig of a pool that has the whole budget, or rigs by hand, polished.
+    """The search by a pool, from ``start_pose`` [camera, 7] or the configured start.
 
-    What the cache holds is drawn again, so that the seconds count.
+    ``only`` the best rig of a pool that has the whole budget, or rigs by hand, polished. What the cache holds is drawn
+    again, so that the seconds count.
     """
     start = ["rig.start=by_hand"] if only == "by_hand" else []
     placement = placement.with_config(load_config(placement.config, ["optimiser.search=pool", *start]))
@@ -325,7 +330,7 @@ def _pooled(
         most = _budget(placement, camera_renders_max)
         every = most // len(placement.train)
         settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
-    begun = Optimisation.begin(placement, pool=settings, drawing=Drawing())
+    begun = Optimisation.begin(placement, start=start_pose, pool=settings, drawing=Drawing())
     descent, began = begun.descent, time.perf_counter()
     assert isinstance(descent, PoolRun)
     rows, best = [], None
@@ -441,20 +446,24 @@ def _layout(placement: Placement) -> FoundRig:
 
 
 def _within_cost(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The configuration's own search, with any numbers of its modules that cost no more than the configured ones.
+    """The search by a pool from the best rig by hand, with any numbers of modules that cost as much at most.
 
     It is judged at as many false alarms a scene as the layout of ``baselines.rigs`` may raise.
     """
     config, limits, layout = placement.config, placement.limits, _layout(placement).rig
     assert limits is not None, "there are modules"
+    search, _ = _hand_search(placement)
     cost = limits.cost([camera.module for camera in layout.cameras])
     most = {name: int(min(cost / max(price, 1e-9) + 1e-9, MOST_CAMERAS)) for name, price in limits.price.items()}
     modules = {name: f"0..{count}" for name, count in most.items()}
-    free = {"rig.modules": modules, "rig.cameras": f"1..{MOST_CAMERAS}", "rig.max_cost": cost}
-    found = _optimised(placement.with_config(config.replace(free)), camera_renders_max)
+    free = {"rig.modules": modules, "rig.cameras": f"2..{MOST_CAMERAS}", "rig.max_cost": cost, "rig.start": "highest"}
+    left = None if camera_renders_max is None else camera_renders_max - search.camera_renders
+    freed = placement.with_config(config.replace(free))
+    found = _pooled(freed, left, start_pose=search.hand_rigs[0].mount_pose)
     images = [len(rig.cameras) - sum(rig.is_lidar) for rig in (layout, found.rig)]
     rate = config.evaluation.false_alarms_per_image * images[0] / max(images[1], 1)
-    return replace(found, notes={**found.notes, "false_alarms_per_image": rate})
+    notes = {**found.notes, "false_alarms_per_image": rate}
+    return replace(found, camera_renders=found.camera_renders + search.camera_renders, notes=notes)
 
 
 def _random_batches(placement: Placement, camera_renders_max: int | None) -> FoundRig:
