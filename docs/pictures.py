@@ -449,6 +449,73 @@ def draw_places(folder: Path) -> None:
     plt.close(figure)
 
 
+def draw_costs(folder: Path) -> None:
+    """costs: what known layouts, rigs by hand and found ones cost and miss, from the rows of ``results.csv``."""
+    import matplotlib.pyplot as plt
+
+    from warpav.experiments import read_rows
+
+    studies: dict[str, list[dict[str, str]]] = {}
+    for row in read_rows(PICTURES.parent / "results.csv"):
+        if row["study"].startswith("at_cost_"):
+            studies.setdefault(row["study"].removeprefix("at_cost_"), []).append(row)
+    figure, axes = plt.subplots(1, 3, figsize=(13.0, 4.2), layout="constrained")
+    for axis, traffic in zip(axes, ("dense", "sind", "motorway"), strict=True):
+        found = []
+        for study in sorted(each for each in studies if traffic in each.split("_")):
+            places = {arm: _cost_and_misses(studies[study], arm) for arm, *_ in _AT_COST}
+            found.append(places["default"])
+            for arm, label, marker, colour in _AT_COST:
+                x, y = places[arm]
+                axis.plot(x, y, marker, color=colour, label=label if len(found) == 1 else None)
+                for row in studies[study]:
+                    if row["arm"] == arm and row["of"] and row["low"]:  # of the difference, at what is compared
+                        ends = [found[-1][1] + float(row[end]) for end in ("low", "high")]
+                        axis.plot([x, x], ends, color=colour, lw=1.2, alpha=0.6)
+            name = study.replace("_quick", "").removesuffix(f"_{traffic}").replace("_", " + ")
+            axis.annotate(name, places["as_built"], (4, 4), textcoords="offset points", fontsize=7)
+        if found:
+            front = pareto_front(np.array(found))
+            axis.step(*front.T, where="post", color=_AT_COST[-1][-1], lw=1.0)
+            for knee in front[knee_of(front)][None][: len(front) - 2]:  # of two there is none
+                axis.plot(*knee, "o", markersize=15, markerfacecolor="none", color="black")
+                axis.annotate("knee", knee, (10, -14), textcoords="offset points", fontsize=9)
+        axis.margins(x=0.25)
+        axis.set_xlim(left=0.0)
+        axis.set(title=traffic, xlabel="cost of all modules (1: a side camera of 2 MP)")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("missed of 100 road users,\nas many false alarms a scene")
+    axes[0].legend(fontsize=8)
+    figure.savefig(folder / "costs.png", dpi=110)
+    plt.close(figure)
+
+
+_AT_COST = (
+    ("as_built", "as built", "s", "tab:red"),
+    ("by_hand", "best by hand, same modules", "^", "tab:orange"),
+    ("default", "warpav, at most that cost; line: its front", "o", "tab:blue"),
+)
+
+
+def _cost_and_misses(rows: list[dict[str, str]], arm: str) -> tuple[float, float]:
+    runs = [row for row in rows if row["arm"] == arm and row["seed"]]
+    cost, missed = ([float(run[name]) for run in runs] for name in ("cost", "misses_at_equal_false_alarms"))
+    return float(np.mean(cost)), float(np.mean(missed))
+
+
+def pareto_front(point: np.ndarray) -> np.ndarray:
+    """Those of points [point, 2] that no other is below in both, by the first number."""
+    point = point[np.lexsort(point.T[::-1])]
+    return point[point[:, 1] < np.minimum.accumulate(np.r_[np.inf, point[:-1, 1]])]
+
+
+def knee_of(front: np.ndarray) -> int:
+    """The point of a front that is farthest below the line between its ends, both axes scaled to them."""
+    span = np.maximum(np.ptp(front, axis=0), 1e-12)
+    share = (front - front[0]) / span
+    return int(np.argmin(share.sum(axis=1)))
+
+
 _STREETS = "streets that 48 scenes show (a dot: a draw of streets)"
 _MOMENTS = "scenes of each of 8 streets"
 
@@ -462,6 +529,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "mount_drawing": draw_mount_drawing,
     **{f"plot_{kind}": draw_fitting for kind in FITTING},
     "places": draw_places,
+    "costs": draw_costs,
     "vehicle": draw_vehicle,
     "front": draw_front,
     "zones": draw_zones,
