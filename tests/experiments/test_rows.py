@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pictures import knee_of, pareto_front
 from warpav.core.errors import InputError
 from warpav.experiments import filled_page, read_rows, write_rows
 from warpav.experiments._rows import MARK, rows_of, table_of
@@ -87,6 +88,12 @@ def test_layouts_stand_beside_what_their_cost_buys():
         assert [each.split()[0] for each in line[3:5]] == ["+6.0", "+3.0"]
         assert line[5] == "90 / 90 / 90"
     assert table_of("costs at_cost_series", rows).rows == ()
+
+
+def test_the_knee_of_a_front_is_farthest_below_its_chord():
+    front = pareto_front(np.array([[3.0, 9.0], [1.0, 10.0], [9.0, 2.0], [2.0, 4.0], [5.0, 3.0], [9.0, 3.0]]))
+    assert front.tolist() == [[1.0, 10.0], [2.0, 4.0], [5.0, 3.0], [9.0, 2.0]]
+    assert knee_of(front) == 1
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
