@@ -13,7 +13,7 @@ from warpav.experiments import _arms as module
 from warpav.experiments._arms import METHODS, Arm, _common_arms, find_arm, find_rig_of
 from warpav.optimisation import LOSSES, BudgetedValue, RigObjective, SearchSpace
 from warpav.optimisation._single_cameras import SingleCameras
-from warpav.rig import write_rig
+from warpav.rig import Rig, RigCamera, builtin_modules, write_rig
 from warpav.runs import Placement, RunDisplay
 from warpav.runs.config import load_config, option_values
 from warpav.thesis import descent_camera_renders
@@ -196,6 +196,31 @@ def test_searches_around_rigs_by_hand_are_never_behind_them(missing, rendered, n
     assert values[0] < values[1] - 1e-4
 
 
+def test_a_layout_as_built_and_a_rig_of_its_cost(missing, tmp_path):
+    """The layout keeps its modules, all or its cameras alone; the found rig costs no more, at as many false alarms."""
+    catalogue = builtin_modules()
+    wanted = {"left": ("surround_1_4mp_70", 0.6, 90.0), "right": ("surround_1_4mp_70", -0.6, -90.0)}
+    wanted["ahead"] = ("lidar_flat_90", 0.0, 0.0)
+    cameras = [
+        RigCamera(name, [0.8, y_m, 1.6], math.radians(yaw_deg), model=catalogue[module].camera_model(), module=module)
+        for name, (module, y_m, yaw_deg) in wanted.items()
+    ]
+    write_rig(Rig(cameras), tmp_path / "layout.yaml")
+    options = [f"baselines.rigs=[{tmp_path / 'layout.yaml'}]", "rig.modules={surround_1_4mp_70: 2, lidar_flat_90: 1}"]
+    placement = Placement.from_config(load_config(missing.config, options)).prepare()
+    built = find_rig_of(Arm("as_built", "as_built"), placement, None).rig
+    assert [camera.module for camera in built.cameras] == [module for module, *_ in wanted.values()]
+    assert [camera.yaw_rad for camera in built.cameras] == pytest.approx([camera.yaw_rad for camera in cameras])
+    found = find_rig_of(Arm("found", "within_cost"), placement, None)
+    cost = [sum(catalogue[camera.module].price.value for camera in rig.cameras) for rig in (built, found.rig)]
+    assert 0.0 < cost[1] <= cost[0] == pytest.approx(6.8)
+    images = len(found.rig.cameras) - sum(found.rig.is_lidar)
+    assert found.notes["false_alarms_per_image"] * images == pytest.approx(0.5 * 2)
+    alone = Placement.from_config(load_config(placement.config, ["rig.modules={surround_1_4mp_70: 2}"])).prepare()
+    built = find_rig_of(Arm("as_built", "as_built"), alone, None).rig
+    assert [camera.name for camera in built.cameras] == ["left", "right"]
+
+
 @pytest.mark.parametrize("name", ["highest", "start", "nuscenes", "edgar"])
 def test_rigs_that_need_no_search_cost_nothing(problem, rendered, name):
     found = find_rig_of(Arm(name, name), problem, None)
@@ -228,7 +253,7 @@ def test_unknown_arms_are_named_with_their_neighbour():
         find_arm("sgd_irf", own)
     with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
-    assert set(METHODS) - {"optimiser", "as_configured"} < set(_common_arms())
+    assert {name for name, method in METHODS.items() if method.is_arm} < set(_common_arms())
 
 
 def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):

@@ -72,6 +72,23 @@ def test_without_a_detector_the_objective_is_compared(results):
     assert "expected misses per 100" in table_of("arms made", rows).markdown()
 
 
+def test_layouts_stand_beside_what_their_cost_buys():
+    """Cost, misses and near field of three arms; differences with the sign of how many fewer the search misses."""
+    runs = {"default": (30.0, 17.0), "as_built": (36.0, 17.4), "by_hand": (33.0, 17.4)}
+    results = {
+        arm: [{**made_run(arm, 0, misses), "cost": cost, "required_share": 0.9}] for arm, (misses, cost) in runs.items()
+    }
+    study, references = "at_cost_nuscenes_lidar_sind", dict.fromkeys(("as_built", "by_hand"), "default")
+    rows = rows_of(results, study, "builtin", references, resamples=99)
+    for table in (table_of("costs", rows), table_of(f"costs {study} builtin", rows)):
+        [line] = table.rows
+        assert line[0] == "nuscenes, lidar, SinD crossing"
+        assert line[1:3] == ("17.4 / 17.4 / 17.0", "36.0 / 33.0 / 30.0")
+        assert [each.split()[0] for each in line[3:5]] == ["+6.0", "+3.0"]
+        assert line[5] == "90 / 90 / 90"
+    assert table_of("costs at_cost_series", rows).rows == ()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_published_tables_are_computed_from_the_published_rows(page):
     text = page.read_text(encoding="utf-8")

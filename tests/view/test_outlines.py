@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import block, ego
+from warpav.raster.beams import Beams
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
 from warpav.rig import RigCamera
 from warpav.view._outlines import (
     STEP_M,
+    beam_lines,
     bearing_sector_rad,
     frustum_points,
     image_corners,
     sector_polygon_m,
     silhouette_m,
+    view_edges,
 )
+from warpav.view._picture import ground_rings_m
 
 
 def camera(*, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=90.0, width_px=320, height_px=200, **lens):
@@ -51,6 +55,27 @@ def test_sector_of_a_level_camera_is_its_yaw_and_field_of_view(yaw_deg, fov_deg)
     assert left_rad - right_rad == pytest.approx(math.radians(fov_deg))
     middle = (left_rad + right_rad) / 2 - math.radians(yaw_deg)
     assert math.remainder(middle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_a_lidar_sees_lies_between_its_beams():
+    """In its own axes: 40 degrees to either side, 10 up and 30 down; rings on the ground are at h / tan(down)."""
+    beams = Beams(tuple(np.radians([-30.0, -20.0, 10.0])), 0.01, (math.radians(-40.0), math.radians(40.0)))
+    low, high = beam_lines(beams, depth_m=2.0)
+    for line, up_deg in ((low, -30.0), (high, 10.0)):
+        np.testing.assert_allclose(np.linalg.norm(line, axis=1), 2.0)
+        np.testing.assert_allclose(-line[:, 1] / 2.0, math.sin(math.radians(up_deg)))
+        end_deg = np.degrees(np.arctan2(-line[[0, -1], 0], line[[0, -1], 2]))
+        np.testing.assert_allclose(end_deg, [-40.0, 40.0])
+    lidar = RigCamera("lidar", np.array([1.0, 0.2, 2.0]), 0.5, model=CameraModel.of_beams(beams, 0.4))
+    assert len(view_edges(lidar.model, depth_m=1.0)) == 4 + 2
+    all_round = CameraModel.of_beams(Beams(beams.elevation_rad, 0.01), 0.4)
+    assert len(view_edges(all_round, depth_m=1.0)) == 2
+    rings = ground_rings_m(lidar)
+    for ring, down_deg in zip(rings, (30.0, 20.0), strict=True):
+        radius_m = np.linalg.norm(ring[:, :2] - [1.0, 0.2], axis=1)
+        np.testing.assert_allclose(radius_m, 2.0 / math.tan(math.radians(down_deg)))
+        np.testing.assert_allclose(ring[:, 2], 0.02, atol=1e-9)
+    assert ground_rings_m(camera()) == []
 
 
 @pytest.mark.parametrize(("lens", "fov_deg"), [("fisheye", 200.0), ("panorama", 300.0), ("panorama", 360.0)])

@@ -17,6 +17,7 @@ _Study = Literal[
     "table5",
     "open",
     "rivals",
+    "at_cost",
     "ablations",
     "correlation",
     "scene_count",
@@ -32,7 +33,8 @@ def experiment(
         _Study,
         Parameter(
             help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the "
-            "search beside rigs by hand and other searches, in the setting of --setting; ablations: the descent with "
+            "search beside rigs by hand and other searches, in the setting of --setting; at_cost: the search beside "
+            "known layouts of cameras and LiDARs at their cost, in such a setting; ablations: the descent with "
             "one thing changed at a time; correlation: whether the objective ranks rigs as the detector does; "
             "scene_count: the search on ever more training scenes, judged on others; places: the same on scenes of 1 "
             "to 48 streets; sweep: what a search gains over the highest point, by number of cameras, field of view, "
@@ -50,7 +52,8 @@ def experiment(
         str | None,
         Parameter(
             help="Of rivals: traffic dense, sind or ngsim, 2, 4 or 6 cameras, rack, roof or body, such as sind_4_body; "
-            "with _bus and _all (road users) behind."
+            "with _bus and _all (road users) behind. Of at_cost: nuscenes, argoverse2, edgar, robotaxi or series, "
+            "_lidar or nothing, traffic dense, sind or motorway, such as nuscenes_lidar_sind."
         ),
     ] = None,
     vary: Annotated[

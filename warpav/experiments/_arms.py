@@ -46,7 +46,7 @@ from warpav.optimisation import (
     sobol_rigs,
     sobol_search,
 )
-from warpav.rig import Rig, preset_names, preset_rig
+from warpav.rig import Rig, preset_names, preset_on_vehicle, preset_rig
 from warpav.runs import (
     Optimisation,
     Placement,
@@ -55,10 +55,11 @@ from warpav.runs import (
     constraints_of,
     pool_search_settings,
     preset_for,
+    read_baselines,
     read_start,
     searches_by_pool,
 )
-from warpav.runs.config import Config, load_config, option_values
+from warpav.runs.config import MOST_CAMERAS, Config, load_config, option_values
 from warpav.thesis import BatchChooser, Descent, affordable_iterations, descent_camera_renders
 
 _AS_BUILT = "_as_built"
@@ -135,6 +136,13 @@ class Arm:
             )
         if (method and method.starts) or config.rig.freeze:
             read_start(config)
+        if method in (METHODS["as_built"], METHODS["within_cost"]) and not (
+            len(config.baselines.rigs or ()) == 1 and config.rig.modules
+        ):
+            raise InputError(
+                f"arm {self.name}: expected one rig of modules in baselines.rigs, and those modules with their numbers "
+                "in rig.modules; give both, or leave the arm out"
+            )
         if self.method == "random_batches":  # it takes them whatever the configuration searches by
             load_config(config, ("optimiser.search=descent",))
         least = self._least_camera_renders(config)
@@ -156,7 +164,7 @@ class Arm:
         match self.method:
             case "optimiser" if config.optimiser.search != "pool":
                 return one_step
-            case "optimiser" | "pool_only":  # the start, and a pool of as many
+            case "optimiser" | "within_cost" | "pool_only":  # the start, and a pool of as many
                 return 2 * one_rig
             case "random_batches":
                 return cameras * config.run.batch_size
@@ -300,11 +308,16 @@ def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig
 
 
 def _pooled(
-    placement: Placement, camera_renders_max: int | None, *, only: Literal["pool", "by_hand"] | None = None
+    placement: Placement,
+    camera_renders_max: int | None,
+    *,
+    only: Literal["pool", "by_hand"] | None = None,
+    start_pose: np.ndarray | None = None,
 ) -> FoundRig:
-    """The search by a pool; ``only`` the best rig of a pool that has the whole budget, or rigs by hand, polished.
+    """The search by a pool, from ``start_pose`` [camera, 7] or the configured start.
 
-    What the cache holds is drawn again, so that the seconds count.
+    ``only`` the best rig of a pool that has the whole budget, or rigs by hand, polished. What the cache holds is drawn
+    again, so that the seconds count.
     """
     start = ["rig.start=by_hand"] if only == "by_hand" else []
     placement = placement.with_config(load_config(placement.config, ["optimiser.search=pool", *start]))
@@ -317,7 +330,7 @@ def _pooled(
         most = _budget(placement, camera_renders_max)
         every = most // len(placement.train)
         settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
-    begun = Optimisation.begin(placement, pool=settings, drawing=Drawing())
+    begun = Optimisation.begin(placement, start=start_pose, pool=settings, drawing=Drawing())
     descent, began = begun.descent, time.perf_counter()
     assert isinstance(descent, PoolRun)
     rows, best = [], None
@@ -369,10 +382,10 @@ def _practice(placement: Placement, _: int | None, *, pose_of: Callable[[Constra
     return _found(placement, pose, mount.rig(pose))
 
 
-def _by_hand(placement: Placement, _: int | None, *, kind: str) -> FoundRig:
-    """The best rig of a kind of all that a hand would try, on the training scenes."""
+def _by_hand(placement: Placement, _: int | None, *, kind: str | None) -> FoundRig:
+    """The best rig of a kind, None: of any, of all that a hand would try, on the training scenes."""
     search, pairing_rig = _hand_search(placement)
-    rig = next((each for each in search.hand_rigs if each.name == kind), None)
+    rig = next((each for each in search.hand_rigs if kind in (None, each.name)), None)
     if rig is None:
         raise InputError(f"arm {kind}: expected a mount and a number of cameras for such a rig, got none that fits it")
     found = _found(placement, rig.mount_pose, pairing_rig, training_objective=rig.value, numbers=rig.numbers)
@@ -422,6 +435,35 @@ def _preset(placement: Placement, method: str) -> FoundRig:
         moved = preset_for(name, placement.config, placement.ego)
         placement.add_camera_models(moved.rig)
     return FoundRig(moved.rig, moved.rig, notes={"moved_m": moved.moved_m, "blocked_share": moved.blocked_share})
+
+
+def _layout(placement: Placement) -> FoundRig:
+    """The rig of ``baselines.rigs``, without what is none of ``rig.modules``, on the vehicle as on its own."""
+    [(name, rig)] = read_baselines(placement.config).items()
+    kept = Rig(camera for camera in rig.cameras if camera.module in (placement.config.rig.modules or ()))
+    moved = preset_on_vehicle(name, placement.ego, kept)
+    return FoundRig(moved.rig, moved.rig, notes={"moved_m": moved.moved_m, "blocked_share": moved.blocked_share})
+
+
+def _within_cost(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """The search by a pool from the best rig by hand, with any numbers of modules that cost as much at most.
+
+    It is judged at as many false alarms a scene as the layout of ``baselines.rigs`` may raise.
+    """
+    config, limits, layout = placement.config, placement.limits, _layout(placement).rig
+    assert limits is not None, "there are modules"
+    search, _ = _hand_search(placement)
+    cost = limits.cost([camera.module for camera in layout.cameras])
+    most = {name: int(min(cost / max(price, 1e-9) + 1e-9, MOST_CAMERAS)) for name, price in limits.price.items()}
+    modules = {name: f"0..{count}" for name, count in most.items()}
+    free = {"rig.modules": modules, "rig.cameras": f"2..{MOST_CAMERAS}", "rig.max_cost": cost, "rig.start": "highest"}
+    left = None if camera_renders_max is None else camera_renders_max - search.camera_renders
+    freed = placement.with_config(config.replace(free))
+    found = _pooled(freed, left, start_pose=search.hand_rigs[0].mount_pose)
+    images = [len(rig.cameras) - sum(rig.is_lidar) for rig in (layout, found.rig)]
+    rate = config.evaluation.false_alarms_per_image * images[0] / max(images[1], 1)
+    notes = {**found.notes, "false_alarms_per_image": rate}
+    return replace(found, camera_renders=found.camera_renders + search.camera_renders, notes=notes)
 
 
 def _random_batches(placement: Placement, camera_renders_max: int | None) -> FoundRig:
@@ -526,11 +568,14 @@ METHODS = {
     "as_configured": Method(lambda placement, _: _optimised(placement, None), starts=True, holds=True, is_arm=False),
     "pool_only": Method(partial(_pooled, only="pool"), starts=True, holds=True),
     "descent_by_hand": Method(partial(_pooled, only="by_hand"), is_seeded=False),
+    "within_cost": Method(_within_cost, starts=True, is_arm=False),
+    "as_built": Method(lambda placement, _: _layout(placement), is_seeded=False, is_arm=False),
     "start": Method(_start, starts=True, holds=True),
     "random_rig": Method(_random_rig, holds=True),
     "highest": Method(partial(_practice, pose_of=highest_mount_pose), holds=True, is_seeded=False),
     "highest_raised": Method(_highest_raised, is_seeded=False),
     "edge": Method(partial(_practice, pose_of=edge_mount_pose), is_seeded=False),
+    "by_hand": Method(partial(_by_hand, kind=None), is_seeded=False),
     "corners": Method(partial(_by_hand, kind="corners"), is_seeded=False),
     "cross": Method(partial(_by_hand, kind="cross"), is_seeded=False),
     "nuscenes_layout": Method(partial(_by_hand, kind="nuscenes"), is_seeded=False),

@@ -59,6 +59,7 @@ from warpav.runs import (
     placement_on,
     prepare_scenes,
     recordings_digest,
+    requirements_of,
     rule_margins,
     same_scenes,
     scene_part,
@@ -220,7 +221,8 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
     tested: dict[str, Any]
     if task.judge != "objective":
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
-        tested = {"metrics": metrics_of(seen, evaluation.objective).to_json()}
+        rate = found.notes.get("false_alarms_per_image")
+        tested = {"metrics": metrics_of(seen, evaluation.objective, false_alarms_per_image=rate).to_json()}
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
@@ -231,6 +233,10 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
         margins = {each.rule: each for each in (rule_margins({"rig": found.rig}, ruled) or {})["rig"]}
         tested["rules_broken"] = [name for name, each in margins.items() if not each.is_kept]
         tested["near_ground_m"] = margins["near_ground"].value
+    if evaluation.limits is not None:
+        tested["cost"] = evaluation.limits.cost([camera.module for camera in found.rig.cameras])
+    for required in requirements_of({"rig": found.rig}, evaluation).values():
+        tested["required_share"] = float(required.is_point_met.mean())
     rig_file = task.file.with_suffix(".yaml")
     write_rig(found.rig, rig_file)
     return {
@@ -244,7 +250,9 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
         "objective_seen": _objective_on(
             evaluation, found, evaluation.assigned(evaluation.validation, found.pairing_rig)
         ),
-        "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),
+        "constraint_loss": None
+        if found.mount_pose is None or evaluation.mount.is_mixed
+        else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
         "camera_renders": found.camera_renders,
         "seconds": {
@@ -365,7 +373,9 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
     """See that the cameras of every arm fit on the mount surface."""
     placed = (arm for arm in arms if not arm.is_preset)
     for each in _distinct(placed, config, lambda each: (each.rig, each.mount, each.camera, each.method)):
-        highest_mount_pose(constraints_of(each, camera_mount(each, ego).surface), each.rig.cameras)
+        constraints = constraints_of(each, camera_mount(each, ego).surface)
+        rows = each.rig.cameras if constraints.module is None else len(constraints.module)
+        highest_mount_pose(constraints, rows)
 
 
 def outcomes(

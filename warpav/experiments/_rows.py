@@ -37,7 +37,7 @@ _COLUMNS = (
     *("misses_at_equal_false_alarms", "false_alarms_per_image", "ap50", "near_ground_m", "rules_broken"),
     *("map50_average", "map50_min_camera", "map50_max_camera", "detection_rate", "in_frame_rate", "confidence"),
     *("constraint_violation_m", "constraint_loss", "min_camera_distance_m", "camera_renders", "search_seconds"),
-    *("positional", "rotational", "of", "reference", "more", "low", "high"),
+    *("positional", "rotational", "of", "reference", "more", "low", "high", "cost", "required_share"),
 )
 _METRICS = {
     **{name: name for name in _COLUMNS if name.startswith("map50_")},
@@ -52,6 +52,7 @@ _METRICS = {
 }
 """Metrics of a rig by the column that has them."""
 
+_OF_RUN = ("objective_seen", "gap", "constraint_loss", "cost", "required_share")
 _ARM_COLUMNS = {
     "missed per 100, equal false alarms": ("misses_at_equal_false_alarms", 1.0, 1),
     "missed, own threshold": ("misses_per_100", 1.0, 1),
@@ -126,7 +127,7 @@ def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[_Row]:
         {
             **which,
             "objective": _text(metrics["objective"] if "metrics" in run else objective_on_tests(run)),
-            **{name: _text(run.get(name)) for name in ("objective_seen", "gap", "constraint_loss")},
+            **{name: _text(run.get(name)) for name in _OF_RUN},
             **{column: _text(metrics.get(name)) for name, column in _METRICS.items()},
             **_rules(run),
             **renders,
@@ -289,6 +290,24 @@ def _rivals(rows: Sequence[_Row], *studies: str) -> Table:
     return Table.of(["setting", *arms], lines)
 
 
+def _costs(rows: Sequence[_Row], of: str = "at_cost", judge: str = OWN_JUDGE) -> Table:
+    """Known layouts as built beside the best rig by hand of their modules and what a search finds for their cost."""
+    lines = []
+    for study in dict.fromkeys(row["study"] for row in rows if f"{row['study']}_".startswith(f"{of}_")):
+        arms = {arm: runs for arm, runs in _runs(rows, study, judge).items() if arm in _AT_COST}
+        name = ", ".join(_PARTS.get(part, part) for part in study.removeprefix("at_cost_").split("_"))
+        cells = [[_mean(arms.get(arm, ()), *column) for arm in _AT_COST] for column in _COST_COLUMNS]
+        costs, missed, seen = (" / ".join(each) for each in cells)
+        fewer = [_difference(rows, study, judge, arm) for arm in ("as_built", "by_hand")]
+        lines.append([name, costs, missed, *fewer, seen])
+    heads = ["layout, traffic", "cost", "missed per 100", "fewer than as built [95 %]", "fewer than by hand [95 %]"]
+    return Table.of([*heads, "near field seen [%]"], lines, "Three numbers: as built / by hand / warpav.")
+
+
+_AT_COST = ("as_built", "by_hand", "default")
+_COST_COLUMNS = (("cost", 1.0, 1), (_MISSED, 1.0, 1), ("required_share", 100.0, 0))
+
+
 def _networks(rows: Sequence[_Row]) -> Table:
     """What networks that no search knew miss: of the search, of the best rig by hand, and how many fewer it is."""
     studies = _rival_studies(rows)
@@ -366,6 +385,7 @@ _KINDS: dict[str, Callable[..., Table]] = {
     "arms": _arms,
     "settings": _settings,
     "rivals": _rivals,
+    "costs": _costs,
     "networks": _networks,
     "thesis": _thesis,
     "gradients": _gradients,

@@ -149,7 +149,7 @@ def find_study(
 ) -> Study:
     file = _read("table2" if name == "table3" else name)
     if setting is not None and not file.words:
-        raise ArgumentError("setting", f"expected nothing, as it is an option of rivals, got it with {name}")
+        raise ArgumentError("setting", f"expected nothing, as {name} has no settings, got {setting}")
     if vary is not None and not file.vary:
         raise ArgumentError("vary", f"expected nothing, as it is an option of sweep, got it with {name}")
     parts = _parts(file, setting)
@@ -170,7 +170,8 @@ def find_study(
         arms, references = _varied(arms, file, vary, quick=quick)
     budget = next((part.budget for part in parts if part.budget is not None), file.budget)
     ego = "bus" if any("scenes.ego=bus" in part.options for part in parts) else "car"
-    of_parts = [each.format(zones=_FOLDER / "zones", ego=ego) for part in parts for each in part.options]
+    of_setting = {"zones": _FOLDER / "zones", "layouts": _FOLDER / "layouts", "ego": ego}
+    of_parts = [each.format(**of_setting) for part in parts for each in part.options]
     return Study(
         "_".join([name if name != "table3" else "table2", *([setting] if setting else []), *(["quick"] * quick)]),
         file.config,

@@ -48,6 +48,8 @@ _CPU_VIEWS = 16
 """Views that one thread renders at once, at most."""
 _CPU_KEY_BYTES = 2**26
 """Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
+_OUTLINED = 8
+"""How much more a view with outlines of all objects takes, as of a LiDAR: more views at once outgrow `KEPT_BYTES`."""
 _CUDA_STREAMS = 12
 """Scenes that a GPU renders beside each other for Jacobians, of all who share it: few cameras do not fill it."""
 _CUDA_CHUNKS = 8
@@ -331,7 +333,8 @@ class SingleCameras:
             most = gpu_share(_CUDA_CHUNKS) * chunk_view_count(camera, supersampling=self.supersampling)
             device = self.mount.device
             return gpu_view_count(most, camera, supersampling=self.supersampling, device=device, renderers=renderers)
-        return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=_CPU_KEY_BYTES), views_max)
+        key_bytes = _CPU_KEY_BYTES // (1 if camera.beams is None else _OUTLINED)
+        return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=key_bytes), views_max)
 
     @property
     def scenes_at_once(self) -> int:

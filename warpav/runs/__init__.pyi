@@ -15,6 +15,7 @@ from warpav.runs._evaluate import check_rig as check_rig
 from warpav.runs._evaluate import evaluate as evaluate
 from warpav.runs._evaluate import highest_rig as highest_rig
 from warpav.runs._evaluate import random_rig as random_rig
+from warpav.runs._evaluate import requirements_of as requirements_of
 from warpav.runs._evaluate import rule_margins as rule_margins
 from warpav.runs._events import trajectory as trajectory
 from warpav.runs._front import FRONT_FILE as FRONT_FILE
@@ -58,6 +59,7 @@ from warpav.runs._rig_evaluation import RigEvaluation as RigEvaluation
 from warpav.runs._rig_source import config_for as config_for
 from warpav.runs._rig_source import find_rig as find_rig
 from warpav.runs._rig_source import is_run_folder as is_run_folder
+from warpav.runs._rig_source import read_baselines as read_baselines
 from warpav.runs._rig_source import read_start as read_start
 from warpav.runs._rig_source import rig_to_export as rig_to_export
 from warpav.runs._run_figures import RunPictures as RunPictures

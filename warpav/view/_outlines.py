@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from warpav.raster.beams import Beams
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
     from warpav.rig import RigCamera
 
 _ARC_STEPS = 1440
 _BISECTIONS = 30
+_RIM_STEP_RAD = math.radians(5.0)
 _TOWARDS_MIDDLE = np.linspace(0.0, 1.0, 512, endpoint=False)
 
 
@@ -33,6 +37,28 @@ def _outermost_ray(model: CameraModel, start_px: list[float]) -> np.ndarray:
     ray = model.rays(start_px + _TOWARDS_MIDDLE[:, None] * (middle_px - start_px))
     seen = np.isfinite(ray[:, 0])
     return ray[seen.argmax()] if seen.any() else np.array([0.0, 0.0, 1.0])
+
+
+def beam_lines(beams: Beams, *, depth_m: float, elevation_rad: Sequence[float] = ()) -> np.ndarray:
+    """Where the beams of a LiDAR or radar with some elevations are at a depth [m], from right to left.
+
+    Without elevations those of the lowest and the highest beam; [elevation, azimuth, 3] in camera coordinates.
+    """
+    azimuth = np.linspace(*beams.azimuth_rad, 2 + math.ceil(beams.sector_rad / _RIM_STEP_RAD))
+    up = np.array(elevation_rad or beams.elevation_rad[:: len(beams.elevation_rad) - 1])[:, None]
+    right, ahead = -np.cos(up) * np.sin(azimuth), np.cos(up) * np.cos(azimuth)
+    return depth_m * np.stack([right, np.broadcast_to(-np.sin(up), right.shape), ahead], axis=-1)
+
+
+def view_edges(model: CameraModel, *, depth_m: float) -> list[np.ndarray]:
+    """The edges of what a camera, LiDAR or radar sees up to a depth [m], lines [point, 3] in camera coordinates."""
+    if model.beams is None:
+        rims = image_corners(model, depth_m=depth_m)[None, [0, 1, 2, 3, 0]]
+        ends = rims[0, :4]
+    else:
+        rims = beam_lines(model.beams, depth_m=depth_m)
+        ends = rims[:0, 0] if model.beams.is_all_round else rims[:, [0, -1]].reshape(-1, 3)
+    return [*(np.stack([np.zeros(3), end]) for end in ends), *rims]
 
 
 def frustum_points(camera: RigCamera, *, depth_m: float) -> np.ndarray:

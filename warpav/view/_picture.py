@@ -30,7 +30,7 @@ from warpav.view._layers import (
     remove,
 )
 from warpav.view._opengl import has_display, load_pyvista, load_pyvista_data
-from warpav.view._outlines import bearing_sector_rad, frustum_points
+from warpav.view._outlines import beam_lines, bearing_sector_rad, frustum_points, view_edges
 from warpav.view._output import Canvas, render_rgb
 from warpav.view._palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
@@ -55,6 +55,7 @@ WIDE_ZOOM = 0.62
 
 FRUSTUM_DEPTH_M = 1.25
 _SECTOR_RADIUS_M = 9.0
+_MOST_RINGS, _RING_M = 16, 0.02
 _HAZE_START_M = 20.0
 _HAZE_END_M = 50.0
 VIEW_AZIMUTH_RAD = math.radians(38.0)
@@ -381,15 +382,16 @@ def add_rig(plotter: Plotter, rig: Rig, *, depth_m: float = FRUSTUM_DEPTH_M, sec
 def add_camera(
     plotter: Plotter, camera: RigCamera, index: int, *, depth_m: float = FRUSTUM_DEPTH_M, sector: bool = False
 ) -> None:
-    """Add one camera: body, frustum, sector on the ground."""
+    """Add one camera or LiDAR: body, frustum, sector on the ground, and rings where beams meet it."""
     pyvista, colour, name = load_pyvista(), camera_rgb(index), f"rig/{camera.name}"
     flat = {"color": colour, "lighting": False}
     plotter.add_mesh(frustum_to_pyvista(camera, depth_m=depth_m), opacity=0.07, **flat, name=f"{name}/frustum")
-    point = frustum_points(camera, depth_m=depth_m)
-    plane = pyvista.PolyData.from_regular_faces(point, np.array([[1, 2, 3, 4]]))
-    plotter.add_mesh(plane, opacity=0.13, **flat, name=f"{name}/image_plane")
-    edges = [pyvista.Line(point[0], point[corner]).tube(radius=0.011, n_sides=12) for corner in (1, 2, 3, 4)]
-    edges.append(pyvista.lines_from_points(point[[1, 2, 3, 4, 1]]).tube(radius=0.013, n_sides=12))
+    if camera.model.beams is None:
+        point = frustum_points(camera, depth_m=depth_m)
+        plane = pyvista.PolyData.from_regular_faces(point, np.array([[1, 2, 3, 4]]))
+        plotter.add_mesh(plane, opacity=0.13, **flat, name=f"{name}/image_plane")
+    edges = [_in_ego_m(camera, edge) for edge in view_edges(camera.model, depth_m=depth_m)]
+    edges = [pyvista.lines_from_points(edge).tube(radius=0.013, n_sides=12) for edge in edges]
     edges = pyvista.MultiBlock(edges).combine().extract_surface(algorithm=None)
     plotter.add_mesh(edges, **flat, name=f"{name}/edges")
     housing, lens = camera_body(camera)
@@ -403,19 +405,64 @@ def add_camera(
         alpha = 105.0 * np.clip(1.0 - distance / _SECTOR_RADIUS_M, 0.0, 1.0) ** 0.8
         wedge.point_data["RGBA"] = np.column_stack([np.tile(colour, (len(alpha), 1)), alpha]).astype(np.uint8)
         paint(plotter, wedge, colours="RGBA", name=f"{name}/sector")
+        rings = [pyvista.lines_from_points(ring).tube(radius=0.012, n_sides=8) for ring in ground_rings_m(camera)]
+        if rings:
+            rings = pyvista.MultiBlock(rings).combine().extract_surface(algorithm=None)
+            plotter.add_mesh(rings, **flat, opacity=0.6, name=f"{name}/rings")
+
+
+def ground_rings_m(camera: RigCamera) -> list[np.ndarray]:
+    """Where some beams of a LiDAR meet the level ground within its sector [m], lines [point, 3]; of cameras none."""
+    beams = camera.model.beams
+    if beams is None or beams.radar is not None:
+        return []
+    up_rad = beams.elevation_rad[:: math.ceil(len(beams.elevation_rad) / _MOST_RINGS)]
+    ray = beam_lines(beams, depth_m=1.0, elevation_rad=up_rad) @ camera.ego_from_camera[:3, :3].T
+    far = camera.position_m[2] / np.maximum(-ray[..., 2:], 1e-9)
+    is_near = far[..., 0] * np.linalg.norm(ray[..., :2], axis=-1) <= _SECTOR_RADIUS_M
+    # a ring is drawn whole or not at all
+    return list((camera.position_m + far * ray + [0.0, 0.0, _RING_M])[is_near.all(axis=1)])
+
+
+def _in_ego_m(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
+    """Points of camera coordinates [point, 3] in the ego frame [m]."""
+    transform = np.asarray(camera.ego_from_camera, np.float64)
+    return np.asarray(point_m) @ transform[:3, :3].T + transform[:3, 3]
 
 
 def frustum_to_pyvista(camera: RigCamera, *, depth_m: float = FRUSTUM_DEPTH_M) -> PolyData:
-    """The four sides of a camera's frustum in the ego frame, from its centre (point 0) to the image's corners."""
+    """The sides of what a camera sees in the ego frame, from its centre (point 0) to the image's corners.
+
+    Of a LiDAR or radar they end at the rims of the lowest and the highest beam.
+    """
+    if camera.model.beams is not None:
+        low, high = beam_lines(camera.model.beams, depth_m=depth_m)
+        point = np.concatenate([np.zeros((1, 3)), low, high])
+        first = 1 + np.arange(len(low) - 1)
+        fans = np.concatenate([np.c_[0 * each, each, each + 1] for each in (first, first + len(low))])
+        return load_pyvista_data().PolyData.from_regular_faces(_in_ego_m(camera, point), fans)
     side = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
     return load_pyvista_data().PolyData.from_regular_faces(frustum_points(camera, depth_m=depth_m), side)
 
 
 def camera_body(camera: RigCamera) -> tuple[PolyData, PolyData]:
-    """Housing and lens of a camera in the ego frame; the lens looks along the optical axis."""
-    pyvista = load_pyvista_data()
-    housing = pyvista.Box(bounds=(-0.08, 0.08, -0.06, 0.06, -0.16, 0.0))
-    lens = pyvista.Cylinder(center=(0, 0, 0.03), direction=(0, 0, 1), radius=0.05, height=0.06, resolution=32)
+    """Housing and lens of a camera in the ego frame; the lens looks along the optical axis.
+
+    Of a LiDAR or radar its housing, upright and round where it sees all round, and the window.
+    """
+    pyvista, beams = load_pyvista_data(), camera.model.beams
+    width, height, depth = camera.housing.size_m
+    if beams is None:
+        housing = pyvista.Box(bounds=(-0.08, 0.08, -0.06, 0.06, -0.16, 0.0))
+        lens = pyvista.Cylinder(center=(0, 0, 0.03), direction=(0, 0, 1), radius=0.05, height=0.06, resolution=32)
+    elif beams.is_all_round:
+        upright: dict[str, Any] = {"center": (0, 0, 0), "direction": (0, 1, 0), "resolution": 48}
+        housing = pyvista.Cylinder(radius=0.5 * width, height=height, **upright)
+        lens = pyvista.Cylinder(radius=0.515 * width, height=0.45 * height, **upright)
+    else:
+        half = 0.5 * np.array([width, height, depth])
+        housing = pyvista.Box(bounds=np.stack([-half, half], axis=1).ravel())
+        lens = pyvista.Box(bounds=(-0.9 * half[0], 0.9 * half[0], -0.6 * half[1], 0.6 * half[1], 0.0, 1.05 * half[2]))
     transform = np.asarray(camera.ego_from_camera, dtype=np.float64)
     return housing.transform(transform, inplace=False), lens.transform(transform, inplace=False)
 
@@ -442,6 +489,8 @@ def add_trajectory(plotter: Plotter, trajectory_m: Any) -> None:  # noqa: ANN401
 def label_point_m(camera: RigCamera, depth_m: float = FRUSTUM_DEPTH_M) -> np.ndarray:
     """Where the name of a camera would stand: above the far end of its frustum [m]."""
     corner = frustum_points(camera, depth_m=depth_m)[1:]
+    if camera.model.beams is not None:
+        corner = _in_ego_m(camera, beam_lines(camera.model.beams, depth_m=depth_m).reshape(-1, 3))
     return np.array([*corner[:, :2].mean(axis=0), corner[:, 2].max() + 0.12])
 
 

@@ -12,7 +12,7 @@ from warpav.detection import render
 from warpav.raster.lens import Lens
 from warpav.view._layers import Steepest, add_descent, add_legend, add_text, no_render
 from warpav.view._opengl import optional_module
-from warpav.view._outlines import image_corners
+from warpav.view._outlines import view_edges
 from warpav.view._output import (
     ANIMATION_FRAME_S,
     ANIMATION_LAST_S,
@@ -120,8 +120,7 @@ def _log_camera(rerun: Any, recording: Any, camera: RigCamera, index: int, *, st
         )
         recording.log(f"rig/{camera.name}/image", pinhole, static=static)
         return
-    corner_m = image_corners(model, depth_m=_FRUSTUM_DEPTH_M)
-    edges = [np.stack([np.zeros(3), corner]) for corner in corner_m] + [corner_m[[0, 1, 2, 3, 0]]]
+    edges = view_edges(model, depth_m=_FRUSTUM_DEPTH_M)
     recording.log(f"rig/{camera.name}/frustum", rerun.LineStrips3D(edges, colors=[colour]), static=static)
 
 

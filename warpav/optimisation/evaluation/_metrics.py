@@ -510,9 +510,14 @@ def _carrying(rig: Rig, scenes: Sequence[AssignedScene]) -> Iterator[AssignedSce
 
 
 def metrics_of(
-    seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
+    seen: SceneObservations,
+    objective: RigObjective,
+    *,
+    attainable: Sequence[np.ndarray] | None = None,
+    false_alarms_per_image: float | None = None,
 ) -> ArmMetrics:
-    """Metrics of a rig from its observations."""
+    """Metrics of a rig from its observations; ``false_alarms_per_image``: at which it counts, None: the objective's."""
+    rate = objective.options.false_alarms_per_image if false_alarms_per_image is None else false_alarms_per_image
     rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
     detected, visible = [each.detected for each in observations], [each.visible for each in observations]
     in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]
@@ -523,7 +528,7 @@ def metrics_of(
     flags = np.concatenate(visible), np.concatenate(detected)
     whole = GroupRecall.of(*flags)
     up_to = [each.detected_up_to(objective.options.iou_min) for each in observations]
-    threshold = boxes.confidence_at(objective.options.false_alarms_per_image)
+    threshold = boxes.confidence_at(rate)
     found = [each >= threshold for each in up_to]
     found_all = np.concatenate(found)
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]

@@ -24,8 +24,11 @@ _BODIES = {
     "nuscenes": Body.of_size(4.084, 1.730, 1.562, wheelbase_m=2.588),  # Renault Zoe
     "argoverse2": Body.of_size(4.872, 1.852, 1.473, wheelbase_m=2.850),  # Ford Fusion Hybrid
     "edgar": Body.of_size(4.973, 1.941, 1.903, wheelbase_m=3.124),  # Volkswagen T7 Multivan, the shorter one
+    # of layouts that no preset has (warpav/experiments/layouts)
+    "robotaxi": Body.of_size(4.682, 1.895, 1.566, wheelbase_m=2.990),
+    "series": Body.of_size(4.720, 1.850, 1.443, wheelbase_m=2.875),
 }
-"""Bodies that presets were made for; unidrive_6x60 is of no vehicle."""
+"""Bodies that presets and layouts were made for; unidrive_6x60 is of no vehicle."""
 
 AS_BUILT = {"nuscenes": "", "argoverse2": "ring", "edgar": "basler_sr"}
 """Presets of vehicles that were built, and how the names of their cameras that look all round begin."""
@@ -51,9 +54,12 @@ def preset_rig(name: str) -> Rig:
     return read_rig(_preset_file(name))
 
 
-def preset_on_vehicle(name: str, vehicle: Mesh) -> MovedRig:
-    """The shipped rig of this name on another vehicle, as its makers put it on theirs; see `put_on_body`."""
-    return put_on_body(preset_rig(name), vehicle, made_for=_BODIES.get(name))
+def preset_on_vehicle(name: str, vehicle: Mesh, rig: Rig | None = None) -> MovedRig:
+    """The shipped rig of this name on another vehicle, as its makers put it on theirs; see `put_on_body`.
+
+    ``rig``: another one that was made for the same vehicle.
+    """
+    return put_on_body(preset_rig(name) if rig is None else rig, vehicle, made_for=_BODIES.get(name))
 
 
 def _preset_file(name: str) -> Path:

@@ -9,7 +9,7 @@ with ``method: thesis`` as in ``thesis``.
 """
 
 from warpav.runs.config._explain import COMMAND_LINE, DescribedOption, described_options, option_values
-from warpav.runs.config._fields import AUTO, BY_HAND, NAMED_STARTS, START_TEXT, read_seeds
+from warpav.runs.config._fields import AUTO, BY_HAND, MOST_CAMERAS, NAMED_STARTS, START_TEXT, read_seeds
 from warpav.runs.config._load import (
     Config,
     dump_config,
@@ -38,6 +38,7 @@ __all__ = [
     "BY_HAND",
     "COMMAND_LINE",
     "KEPT_FILES",
+    "MOST_CAMERAS",
     "NAMED_STARTS",
     "START_TEXT",
     "USUAL_OPTIONS",
