@@ -37,7 +37,7 @@ def show_run(console: Terminal, run: RunContent) -> None:
     evaluation = run.evaluation
     assert evaluation is not None
     _show(console, headline(run))
-    for line in str(_compared(run)).splitlines():
+    for line in str(comparison_table(run)).splitlines():
         console.print(shown(line))
     (name, rig), _ = rigs_of_run(run)
     if rig is not None:
@@ -58,7 +58,7 @@ def show_run(console: Terminal, run: RunContent) -> None:
         _show(console, statement, before="! ")
 
 
-def _compared(run: RunContent) -> Table:
+def comparison_table(run: RunContent) -> Table:
     """What rigs miss, and what they do not see near the vehicle; last, how many fewer than the start."""
     evaluation = run.evaluation
     assert evaluation is not None
