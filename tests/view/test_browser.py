@@ -174,6 +174,11 @@ def test_a_rig_is_edited(folder):
 
 def edit(browser, folder):
     first = rig(4).cameras
+    front, left, rear, right = polished(browser, folder)
+    np.testing.assert_allclose(right.position_m, left.position_m * [1, -1, 1], atol=1e-5)
+    assert [left.yaw_rad + right.yaw_rad, front.position_m[1], rear.position_m[1]] == pytest.approx([0.0] * 3, abs=1e-5)
+    assert (left.position_m != first[1].position_m).any()
+    click(browser, "undo")
     click(browser, "put a camera")
     browser.wait_for("[...document.querySelectorAll('button')].some(each => /click the body/.test(each.textContent))")
     middle_px = np.mean([ball(browser, 0), ball(browser, 2)], axis=0)  # of the roof
@@ -197,7 +202,7 @@ def edit(browser, folder):
     typed = saved(browser, folder)[3]
     assert (typed.position_m[1], np.degrees(typed.pitch_rad)) == pytest.approx((-0.5, 12.0), abs=1e-5)
     type_number(browser, "roll_deg", "")
-    browser.wait_for("/roll_deg: expected a finite number/.test(document.querySelector('.message').textContent)")
+    browser.wait_for("/roll_deg: expected a finite number/.test(document.querySelector('.message')?.textContent)")
     click(browser, "mirror")
     browser.wait_for("document.querySelectorAll('.camera').length === 6")
     np.testing.assert_allclose(saved(browser, folder)[5].position_m, typed.position_m * [1, -1, 1], atol=1e-5)
@@ -205,12 +210,9 @@ def edit(browser, folder):
     browser.wait_for("document.querySelectorAll('.camera').length === 5")
     browser.wait_for("/\\d/.test(document.querySelector('.score').textContent)")
     before = saved(browser, folder)
-    click(browser, "polish from here")
-    browser.wait_for("document.querySelector('.search') !== null")
-    browser.wait_for("document.querySelector('.search') === null")
-    polished = saved(browser, folder)
-    assert [each.name for each in polished] == [each.name for each in before]
-    assert any((a.position_m != b.position_m).any() for a, b in zip(polished, before, strict=True))
+    after = polished(browser, folder)
+    assert [each.name for each in after] == [each.name for each in before]
+    assert any((a.position_m != b.position_m).any() for a, b in zip(after, before, strict=True))
     click(browser, "best place for one more")
     browser.wait_for("document.querySelectorAll('.camera').length === 6")
     assert [each.name for each in saved(browser, folder)[:5]] == [each.name for each in before]
@@ -255,6 +257,14 @@ def test_side_by_side_is_served_alone(folder, monkeypatch, capsys):
     ):
         assert main(["view", *words]) == 2
         assert re.fullmatch(rf"command line: expected one rig, got .*; {hint}.*\n", capsys.readouterr().err)
+
+
+def polished(browser, folder):
+    """The cameras after a polish of the rig as it is."""
+    click(browser, "polish from here")
+    browser.wait_for("document.querySelector('.search') !== null")
+    browser.wait_for("document.querySelector('.search') === null")
+    return saved(browser, folder)
 
 
 def saved(browser, folder):
