@@ -242,8 +242,14 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
         reached = "what was reached is in {}, for warpav evaluate, inspect and report"
         if not optimisation.records:
             reached = "there is no step yet; the start is in {}, for warpav evaluate and inspect"
+        parts = optimisation.placement.parts
+        objects = (parts.ego, parts.detector, parts.probability, parts.losses, parts.requirements)
+        is_of_files = not parts.has_own_scenes and all(each is None for each in objects)
+        ways = [f"warpav optimise --resume {folder.path}"] * is_of_files + ["the same call of wa.optimise"]
+        text = f"stopped; {reached.format(folder.path)}; {{}} goes on"
         with contextlib.suppress(OSError):  # the terminal may be gone
-            progress.say(f"stopped; {reached.format(folder.path)}; warpav optimise --resume {folder.path} goes on")
+            progress.say(text.format(ways[0]))
+        error.add_note(text.format(" or ".join(ways)))  # in Python most runs show no progress
         raise
 
 
