@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -245,7 +246,8 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
         parts = optimisation.placement.parts
         objects = (parts.ego, parts.detector, parts.probability, parts.losses, parts.requirements)
         is_of_files = not parts.has_own_scenes and all(each is None for each in objects)
-        ways = [f"warpav optimise --resume {folder.path}"] * is_of_files + ["the same call of wa.optimise"]
+        resumes = shlex.join(["warpav", "optimise", "--resume", str(folder.path)])
+        ways = [resumes] * is_of_files + ["the same call of wa.optimise"]
         text = f"stopped; {reached.format(folder.path)}; {{}} goes on"
         with contextlib.suppress(OSError):  # the terminal may be gone
             progress.say(text.format(ways[0]))

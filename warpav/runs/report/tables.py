@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 
 from warpav.core.errors import one_line
 from warpav.core.table import Table
@@ -86,6 +87,7 @@ def comparison_table(run: RunContent) -> Table:
 
 def next_commands(run: RunContent, folder: str) -> list[str]:
     """What to do with a run, and after it."""
+    folder = shlex.quote(folder)
     if run.evaluation is None:
         return [f"warpav optimise --resume {folder}", f"warpav evaluate {folder}"]
     scenes = None if run.config is None else run.config.scenes
