@@ -100,11 +100,14 @@ def test_a_run_is_judged_by_the_rules_that_it_settled(tmp_path):
     fill(folder, evaluation(rules={"optimised": [near, gap]}))
     write_rig(find_rig("highest", folder.config(), wa.town([0])[0].ego), folder.rig_path("best"))
     asked_anew = ["rules.azimuth_gap_deg=6"]
+    page = tmp_path / "check.html"
     for overrides, told in (([], [4.0, 9.0, 3.0, 0.02]), (asked_anew, [4.0, 6.0, None, None])):
         assert main(["evaluate", str(folder.path), *overrides, "--json", str(file)]) == 0
         found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["optimised"]}
         settled = [found["azimuth_gap"][name] for name in ("limit", "asked", "price")]
         assert [found["near_ground"]["limit"], *settled] == pytest.approx(told)
+        main(["check", str(folder.path), *overrides, "--out", str(page)])
+        assert f"at most {told[1]:g}°" + (", as the run kept (3° wanted)" * (not overrides)) + "<" in page.read_text()
 
 
 @pytest.mark.slow

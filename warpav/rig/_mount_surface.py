@@ -292,7 +292,7 @@ def mount_surface_from_mesh(
     is_upward = np.pad(_without_small_patches(is_measured & (upward >= min_zone_normal)), 2)
     is_mountable = ndimage.binary_closing(is_upward, structure=np.ones((3, 3)))[2:-2, 2:-2]  # gaps of up to two cells
     top_m, foot_m = (each(filled_m, 3, mode="nearest") for each in (ndimage.maximum_filter, ndimage.minimum_filter))
-    is_mountable &= is_upward[2:-2, 2:-2] | (top_m - foot_m <= _LEDGE_STEP_M)
+    is_mountable = np.asarray(is_mountable, bool) & (is_upward[2:-2, 2:-2] | (top_m - foot_m <= _LEDGE_STEP_M))
     if not is_mountable.any():
         raise InputError(
             f"ego mesh: expected faces that can carry a camera (normal z of at least {min_zone_normal}), got none with "

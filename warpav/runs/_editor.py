@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
     from warpav.runs.config import Config
+    from warpav.sight import Rules
 
 _Item = TypeVar("_Item")
 
@@ -41,11 +42,10 @@ _AWAY_M = 0.4
 """How far behind the first camera one more begins [m]."""
 
 
-def judge_of(config: Config, ego: Mesh) -> Callable[[Rig], list[Finding]]:
+def judge_of(limits: Rules, ego: Mesh, device: str) -> Callable[[Rig], list[Finding]]:
     """What the design rules say of rigs on a vehicle."""
-    device = checked_device(config.device)
     return lambda rig: [
-        Finding(each.about, each.found, each.asked, each.is_kept) for each in rule_items(rig, ego, config, device)
+        Finding(each.about, each.found, each.asked, each.is_kept) for each in rule_items(rig, ego, limits, device)
     ]
 
 

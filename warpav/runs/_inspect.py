@@ -22,6 +22,7 @@ from warpav.raster.lens import Lens
 from warpav.rig import Rig, RigCamera
 from warpav.runs._drawn_run import fitting, vehicle_name
 from warpav.runs._editor import RigScorer, judge_of, search_from
+from warpav.runs._evaluate import limits_for
 from warpav.runs._events import trajectory
 from warpav.runs._mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
 from warpav.runs._networks import load_detector
@@ -213,7 +214,7 @@ def inspector(
         further=further,
         modules=_modules(config),
         check=check,
-        judge=judge_of(config, first.ego),
+        judge=judge_of(limits_for(source, config), first.ego, device),
         device=device,
     )
     return Inspector(
