@@ -163,7 +163,7 @@ def compare(
 
     sources, overrides = _rigs_and_overrides(rig, (other, *further))
     again = shlex.join(["warpav", "compare", *sources, "--out", out.name, *overrides])
-    with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
+    with of_rig(rig, config, overrides) as settings, RunDisplay(verbose=False) as display:
         say(f"wrote {compare_rigs(sources, settings, out, again=again, progress=display)}")
 
 

@@ -29,7 +29,7 @@ from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs._run_figures import comparison_figures
 from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
-from warpav.runs._scene_set import load_scenes
+from warpav.runs._scene_set import load_scenes, own_vehicle_digest
 from warpav.runs.config import Config, flow_text, placed_config, with_absolute_paths
 from warpav.runs.report._content import RunContent, read_content, read_evaluation
 from warpav.runs.report._statements import verdict
@@ -418,7 +418,11 @@ def _side_by_side(sources: Sequence[str], config: Config, progress: Progress) ->
         own = Path(sources[0]).absolute().name
         names = {(sources[0] if own in names else own): sources[0], **dict(list(names.items())[1:])}
     for source in filter(is_run_folder, sources):
-        searched = RunFolder.open(source).config().scenes
+        folder = RunFolder.open(source)
+        searched = (of_run := folder.config()).scenes
+        if own_vehicle_digest(of_run) != own_vehicle_digest(config):
+            text = f"expected {searched.ego or 'none'}, the vehicle of {source}, got {config.scenes.ego or 'none'}"
+            raise OptionError("scenes.ego", f"{text}; on another vehicle compare {folder.rig_file()} itself")
         known = {*searched.train_seeds, *(searched.validation_seeds or ())} & {*config.scenes.test_seeds}
         if searched.source == config.scenes.source and known:
             raise OptionError(
