@@ -412,7 +412,7 @@ def comparison_view(sources: Sequence[str], config: Config, *, progress: Progres
 def _side_by_side(sources: Sequence[str], config: Config, progress: Progress) -> tuple[RunContent, Placement]:
     """Two or three rigs on the same test scenes."""
     if not 2 <= len(sources) <= 3 or len(set(sources)) < len(sources):
-        raise InputError(f"command line: expected two or three different rigs, got {' '.join(sources)}")
+        raise InputError(f"command line: expected two or three different rigs, got {shlex.join(sources)}")
     names = arm_names(sources[0], sources[1:])
     if "optimised" in names:  # beside others a run is called by its folder
         own = Path(sources[0]).absolute().name

@@ -237,7 +237,12 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
 
     if image is not None:
         check_suffix(image)
-    mesh = read_vehicle(path)
+    try:
+        mesh = read_vehicle(path)
+    except InputError as error:
+        text, advice, _ = str(error).partition("; read it with ")
+        how = f"; {shlex.join(['warpav', 'vehicle', 'check', str(path)])} says how to fix it" if advice else ""
+        raise InputError(f"{text}{how}") from None
     names = part_names(path, mesh)
     kind = None if names is None else kinds_of_names(names)
     parts = parts_of(mesh, kind)

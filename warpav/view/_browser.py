@@ -530,7 +530,9 @@ class BrowserComparison(_Page):
             self._make_message()
             html.Div(compared.verdict, classes="text-body-2 my-1")
             html.Div(v_html=("compared", compared.table), classes="text-caption compared")
-            client.Style(".compared :is(th, td) { padding: 0 3px; line-height: 1.2 }")
+            client.Style(
+                ".compared :is(th, td) { padding: 0 3px; line-height: 1.2 } .compared td { white-space: nowrap }"
+            )
             scenes = [(k, f"scene {k + 1}, {count} found by one alone") for k, count in enumerate(self._alone)]
             self._select("scene", "scene", partial(self._show, "scene"), scenes)
             heights = [(k, patch_words(height_m)) for k, height_m in enumerate(SHOWN_HEIGHTS_M)]
