@@ -272,7 +272,7 @@ def view(
     config: RigConfig = None,
 ) -> None:
     """View a rig in a browser: the inspector, served to this machine only, or a page that stands alone."""
-    from warpav.runs import RunDisplay, comparison_view, serve_inspector, write_inspector_page
+    from warpav.runs import serve_inspector, write_inspector_page
 
     is_scene = source.lower().endswith((".glb", ".usd", ".usda", ".usdc", ".usdz"))
     shown, scene = (rig, Path(source)) if is_scene else (source, None)
@@ -286,13 +286,19 @@ def view(
         raise InputError(f"command line: expected one rig, got {shlex.join(rigs)}; {hint}")
     with of_rig(shown, config, overrides) as settings:
         if len(rigs) > 1:
+            from warpav.runs import RunDisplay, comparison_view
+
             with RunDisplay(verbose=False) as display:
                 compared = comparison_view(rigs, settings, progress=display)
             compared.serve(port=port, ready=_say_address)
         elif out is not None:
             say(f"wrote {write_inspector_page(shown, settings, out, scene=scene)}")
         else:
-            serve_inspector(shown, settings, scene=scene, port=port, ready=_say_address)
+            gc.disable()  # until the address is told: what is made up to there stays
+            try:
+                serve_inspector(shown, settings, scene=scene, port=port, ready=_say_address)
+            finally:
+                gc.enable()
 
 
 def _rigs_and_overrides(rig: str, further: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -301,6 +307,8 @@ def _rigs_and_overrides(rig: str, further: Sequence[str]) -> tuple[list[str], li
 
 
 def _say_address(url: str, port: int) -> None:
+    gc.freeze()
+    gc.enable()
     say(f"open {url}")
     say(f"from another machine first: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE; Ctrl-C ends the viewer")
 

@@ -1,4 +1,7 @@
-"""What an editor of rigs shows beside the rig: rules, a score on some scenes, and searches that begin with the rig."""
+"""What an editor of rigs shows beside the rig: rules, a score on some scenes, and searches that begin with the rig.
+
+What these need is imported when they are first asked for, which is after the first picture.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -15,10 +18,7 @@ from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.core.warp_setup import checked_device
 from warpav.detection import expected_miss_rate, shares_of
-from warpav.optimisation import CameraProbability, Importance, PoolTask, RigObserver, named_by_direction, polish_start
 from warpav.rig import Rig, RigCamera, bodies_of
-from warpav.runs._check import rule_items
-from warpav.runs._detector_fit import ensure_fit
 from warpav.runs._mounts import objective_options, with_shared_model
 from warpav.runs._networks import load_detector
 from warpav.runs._scene_set import load_scenes
@@ -27,6 +27,7 @@ from warpav.sight import housing_shares
 from warpav.view import Finding, RigScore
 
 if TYPE_CHECKING:
+    from warpav.optimisation import CameraProbability
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
     from warpav.runs.config import Config
@@ -42,11 +43,22 @@ _AWAY_M = 0.4
 """How far behind the first camera one more begins [m]."""
 
 
-def judge_of(limits: Rules, ego: Mesh, device: str) -> Callable[[Rig], list[Finding]]:
-    """What the design rules say of rigs on a vehicle."""
-    return lambda rig: [
-        Finding(each.about, each.found, each.asked, each.is_kept) for each in rule_items(rig, ego, limits, device)
-    ]
+def judge_of(source: str, config: Config, ego: Mesh) -> Callable[[Rig], list[Finding]]:
+    """What the design rules say of rigs on a vehicle, by the limits for the rig that ``source`` means."""
+
+    @cache
+    def limits() -> Rules:
+        from warpav.runs._evaluate import limits_for
+
+        return limits_for(source, config)
+
+    def judge(rig: Rig) -> list[Finding]:
+        from warpav.runs._check import rule_items
+
+        items = rule_items(rig, ego, limits(), checked_device(config.device))
+        return [Finding(each.about, each.found, each.asked, each.is_kept) for each in items]
+
+    return judge
 
 
 class RigScorer:
@@ -60,12 +72,17 @@ class RigScorer:
         self._found_by = lru_cache(_KEPT_CAMERAS)(self._seen)
 
     def _fitted(self, model: CameraModel) -> CameraProbability | None:
+        from warpav.optimisation import CameraProbability
+        from warpav.runs._detector_fit import ensure_fit
+
         return CameraProbability.of(self._config.losses, ensure_fit(self._config, camera=model))
 
     def _seen(
         self, camera: RigCamera, before: tuple[RigCamera, ...], scene: int
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """What a camera finds in a scene past the housings of others."""
+        from warpav.optimisation import RigObserver
+
         options, probability_of = objective_options(self._config), self._probability_of
         packed = self._packed_of(scene)
         if before:
@@ -79,6 +96,8 @@ class RigScorer:
 
     def __call__(self, rig: Rig, scenes: Sequence[int], breathe: Callable[[], None] = lambda: None) -> RigScore:
         """The score on some scenes; ``breathe`` is called between images, and may raise."""
+        from warpav.optimisation import Importance
+
         found, probability, weight = [], [], []
         importance = Importance.of(self._config.importance)
         cameras, before = rig.cameras, [tuple[RigCamera, ...]()] * len(rig.cameras)
@@ -135,6 +154,7 @@ def search_from(
     Raises:
         InputError: The cameras are neither of one model nor all modules, or they cannot be placed.
     """
+    from warpav.optimisation import PoolTask, named_by_direction, polish_start
     from warpav.runs._jobs import optimise
     from warpav.runs._placement import Placement
 

@@ -31,10 +31,11 @@ from warpav.optimisation import (
     observe_scenes,
 )
 from warpav.rig import Rig
+from warpav.runs._drawn_run import heading_of
 from warpav.runs._mounts import camera_mount, constraints_of
 from warpav.runs._placement import Placement
 from warpav.runs._progress import shown_progress
-from warpav.runs._rig_evaluation import RigEvaluation, heading_of, seen_objects
+from warpav.runs._rig_evaluation import RigEvaluation, seen_objects
 from warpav.runs._rig_source import check_rig_source, find_rig, is_run_folder
 from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import first_scene

@@ -209,7 +209,7 @@ class BrowserInspector(_Page):
         self.state.update({"tab": "edit", "lines": []})
         self.state.update({"score": None, "is_scoring": False, "searched": "", "found": "", "share": 0.0})
         self._search, self._job, self._last = search, None, None
-        self._beside, self._scoring, self._quiet_until = ThreadPoolExecutor(1), 0, 0.0
+        self._beside, self._scoring, self._quiet_until, self._is_judged = ThreadPoolExecutor(1), 0, 0.0, False
         self._scored: tuple[Any, ...] = ()
         self.inspector = inspector_of(self._tell)
         shown = self.inspector.state
@@ -219,7 +219,7 @@ class BrowserInspector(_Page):
         self._follow()
 
     def _has_begun(self) -> None:
-        asyncio.get_running_loop().call_later(_FIRST_SCORE_S, self._score)
+        asyncio.get_running_loop().call_later(_FIRST_SCORE_S, self._judge)
 
     def _has_ended(self) -> None:
         self._scoring += 1
@@ -245,6 +245,11 @@ class BrowserInspector(_Page):
         self.inspector.choose(None if camera == self.inspector.chosen else camera)
 
     # --------------------------------------------------------------------------------------- in the background
+
+    def _judge(self) -> None:
+        """From now on say what constraints and rules say, and score: after the first picture, which is the sooner."""
+        self._is_judged = True
+        self._follow()
 
     def _score(self) -> None:
         """Score the rig as it is now, beside all else; what is scored for another rig ends."""
@@ -343,8 +348,8 @@ class BrowserInspector(_Page):
                 for name, value in zip(NUMBERS, [*camera.position_m, *angles_deg], strict=True):
                     state[name] = f"{round(float(value), 3 if name.endswith('_m') else 1) + 0.0:g}"
                 state.module = camera.module
-            state.findings = [each._asdict() for each in edits.edit.findings]
-        with contextlib.suppress(RuntimeError):  # before the page is served there is nobody to score for
+            state.findings = [each._asdict() for each in (edits.edit.findings if self._is_judged else ())]
+        if self._is_judged:
             self._score()
 
     def _make_page(self) -> None:

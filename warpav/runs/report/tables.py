@@ -7,7 +7,7 @@ import shlex
 
 from warpav.core.errors import one_line
 from warpav.core.table import Table
-from warpav.runs._rig_evaluation import heading_of
+from warpav.runs._drawn_run import heading_of
 from warpav.runs._terminal import Group, Terminal, drawn, shown
 from warpav.runs.report._content import RunContent
 from warpav.runs.report._statements import (
