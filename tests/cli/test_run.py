@@ -139,6 +139,8 @@ def test_compare_says_who_misses_least_and_that_a_rig_is_no_better_than_itself(r
     seen = ["scenes.train_seeds=[5]", "scenes.test_seeds=[1]", "run.batch_size=1"]
     assert main(["compare", "up.yaml", str(run_folder.path), *seen, "--out", "no.html"]) == 2
     assert "expected scenes that no run has searched on, got 1 of" in capsys.readouterr().err
+    assert main(["compare", "up.yaml", str(run_folder.path), *few, "scenes.ego=bus", "--out", "no.html"]) == 2
+    assert "scenes.ego: expected none, the vehicle of" in capsys.readouterr().err
     assert not list(Path().glob("no.*"))
 
 

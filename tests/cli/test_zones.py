@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.cli.small_run import complaint
 from tests.cli.test_pool_run import POOL
@@ -49,6 +50,14 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     assert main(["vehicle", "zones", "car.glb", "--out", "again.yaml", "--image", "old.bmp"]) == 2
     assert capsys.readouterr().err.startswith("old.bmp: expected a name that ends in .png")
     assert not (working_directory / "again.yaml").exists()
+    trimesh.Trimesh(1000.0 * car.vertex_m, car.triangle).export("in mm.stl")
+    for words, told in (
+        (["vehicle", "zones", "in mm.stl"], "millimetres; warpav vehicle check 'in mm.stl' says how to fix it"),
+        (["inspect", "car.glb"], "car.glb: rig: expected a rig YAML, got a mesh; give a vehicle as scenes.ego=car.glb"),
+        (["view", "car.glb"], "rename the node, or give a vehicle alone as scenes.ego"),
+    ):
+        assert main(words) == 2
+        assert told in capsys.readouterr().err
     assert "kept out: 4 x wheel" in said
     zones = read_zones("all.yaml")
     assert len(zones) == 8

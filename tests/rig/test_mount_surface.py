@@ -175,9 +175,14 @@ def test_zone_is_roof_and_bonnet_without_glass_and_corners():
         assert surface.zone_distance_m(np.array(place)) == pytest.approx(distance, abs=0.021), place
 
 
-@pytest.mark.parametrize(("gap_m", "is_border"), [(0.02, False), (0.04, False), (0.08, True), (0.4, True)])
-def test_creases_are_no_border(gap_m, is_border):
-    mesh = merge([plate(-1.0, 0.0, -0.5, 0.5), plate(gap_m, 1.0 + gap_m, -0.5, 0.5)])
+GAPS = [(0.02, 0.0, False), (0.04, 0.0, False), (0.08, 0.0, True), (0.4, 0.0, True)]
+GAPS += [(0.02, 0.2, False), (0.02, 0.7, True)]
+
+
+@pytest.mark.parametrize(("gap_m", "step_m", "is_border"), GAPS)
+def test_creases_are_no_border_and_walls_are(gap_m, step_m, is_border):
+    upper = plate(gap_m, 1.0 + gap_m, -0.5, 0.5, lambda x, y: 1.0 + step_m)
+    mesh = merge([plate(-1.0, 0.0, -0.5, 0.5), upper])
     distance = mount_surface_from_mesh(mesh, cell_m=0.02).zone_distance_m(np.array([0.5 * gap_m, 0.0]))
     assert (distance < 0.0) == is_border
 

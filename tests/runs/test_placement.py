@@ -342,7 +342,7 @@ class Told(NullProgress):
         for record in records:
             yield record
             if record.stage == self.ends_at:
-                raise ZeroDivisionError
+                raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize("scenes", ["embedded", "objects"])
@@ -356,8 +356,12 @@ def test_a_call_that_was_interrupted_goes_on_in_its_folder(tmp_path, scenes):
         return wa.optimise(placement, folder=tmp_path / name, test=test if own else None, progress=progress)
 
     told = Told("selection")
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(KeyboardInterrupt) as stopped:
         optimised("stopped", told)
+    ways = "" if own else rf"warpav optimise --resume {tmp_path}/stopped or "
+    assert re.search(
+        rf"is in {tmp_path}/stopped, .*; {ways}the same call of wa\.optimise goes on$", *stopped.value.__notes__
+    )
     [forecast] = [each for each in told.said if each.startswith("forecast")]
     assert re.search(r"about \d+ s and \d\.\d GB of memory for the search, which draws some \d+", forecast)
     assert told.said.index(forecast) < told.said.index(next(each for each in told.said if "selecting" in each))

@@ -2,17 +2,21 @@
 
 import json
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import warpav as wa
 from tests.runs.report.run_parts import evaluation, fill, folder_at
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig import PLAIN, write_rig
+from warpav.rig import PLAIN, Rig, write_rig
 from warpav.runs import camera_mount, find_rig
+from warpav.runs._editor import RigScorer
 from warpav.runs._mounts import rig_limits
 from warpav.runs.config import Config, load_config
+from warpav.scene import town_scene
 from warpav.sight import Rules
 
 
@@ -96,8 +100,28 @@ def test_a_run_is_judged_by_the_rules_that_it_settled(tmp_path):
     fill(folder, evaluation(rules={"optimised": [near, gap]}))
     write_rig(find_rig("highest", folder.config(), wa.town([0])[0].ego), folder.rig_path("best"))
     asked_anew = ["rules.azimuth_gap_deg=6"]
+    page = tmp_path / "check.html"
     for overrides, told in (([], [4.0, 9.0, 3.0, 0.02]), (asked_anew, [4.0, 6.0, None, None])):
         assert main(["evaluate", str(folder.path), *overrides, "--json", str(file)]) == 0
         found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["optimised"]}
         settled = [found["azimuth_gap"][name] for name in ("limit", "asked", "price")]
         assert [found["near_ground"]["limit"], *settled] == pytest.approx(told)
+        main(["check", str(folder.path), *overrides, "--out", str(page)])
+        assert f"at most {told[1]:g}°" + (", as the run kept (3° wanted)" * (not overrides)) + "<" in page.read_text()
+
+
+@pytest.mark.slow
+def test_the_editor_scores_past_housings_as_an_evaluation_does():
+    scene, expected = town_scene(1000), []
+    for overrides in ([], ["rules=none"]):
+        config = load_config(None, overrides)
+        seer, other, *more = find_rig("corners", config, scene.ego).cameras
+        towards = scene.vehicles[4].box.center_m - seer.position_m
+        before = replace(other, position_m=seer.position_m + 0.2 * towards / np.linalg.norm(towards))
+        rig = Rig([seer, before, *more])
+        score = RigScorer(config, lambda _: scene)(rig, [0])
+        measured = wa.evaluate(rig, [scene], wa.Placement.from_config(config)).best
+        assert score.expected_per_100 == pytest.approx(100.0 * measured.objective)
+        assert score.missed_per_100 == pytest.approx(measured.misses_per_100)
+        expected.append(score.expected_per_100)
+    assert expected[0] > expected[1] + 0.05

@@ -64,7 +64,7 @@ def test_a_good_vehicle_is_described_and_can_be_used(car, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "reading", "words"),
     [
-        ("cm.glb", Reading("z", "x", 0.01), "--scale 0.01 --up z"),
+        ("my car.glb", Reading("z", "x", 0.01), "--scale 0.01 --up z"),
         pytest.param("cm.obj", Reading("z", "x", 0.01), "--scale 0.01", marks=pytest.mark.nightly),
         ("mm.stl", Reading("y", "z", 0.001), "--scale 0.001 --up y --forward z"),
         ("roof.ply", Reading("-z", "x"), "--up -z"),
@@ -76,9 +76,10 @@ def test_the_suggested_command_fixes_the_file(car, tmp_path, capsys, name, readi
     told = capsys.readouterr().err.splitlines()
     assert all(line.startswith(f"{name}: ") for line in told)
     fixed = f"{name.partition('.')[0]}_ego.glb"
-    command = f"warpav vehicle check {name} {words} --out {fixed}"
+    command = shlex.join(["warpav", "vehicle", "check", name, *words.split(), "--out", fixed])
     assert told[-1] == f"{name}: to fix it: {command}"
     assert main(shlex.split(command)[1:]) == 0
+    assert shlex.split(capsys.readouterr().out.partition("use it with ")[2]) == [f"scenes.ego={fixed}"]
     assert check(fixed) == 0
     file = read_vehicle_file(fixed)
     np.testing.assert_allclose(

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,8 +20,9 @@ from tests.runs.report.chromium import Chromium, find_chromium
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.rig import read_rig, write_rig
-from warpav.scene import write_scene
+from warpav.rig import Rig, read_rig, write_rig
+from warpav.scene import DeviceScene, town_scene, write_scene
+from warpav.sight import HEIGHTS_M, Ground
 from warpav.view import _browser as module
 from warpav.view._palette import camera_rgb
 
@@ -63,6 +65,9 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("viewer")
     write_scene(scene(vehicle(1, 9.0, 0.5), vehicle(2, -8.0, -2.0)), made / "street.glb")
     write_rig(rig(4), made / "four.yaml")
+    write_rig(
+        Rig(replace(each, pitch_rad=-0.1, yaw_rad=each.yaw_rad + 0.2) for each in rig(4).cameras), made / "up.yaml"
+    )
     return made
 
 
@@ -169,6 +174,11 @@ def test_a_rig_is_edited(folder):
 
 def edit(browser, folder):
     first = rig(4).cameras
+    front, left, rear, right = polished(browser, folder)
+    np.testing.assert_allclose(right.position_m, left.position_m * [1, -1, 1], atol=1e-5)
+    assert [left.yaw_rad + right.yaw_rad, front.position_m[1], rear.position_m[1]] == pytest.approx([0.0] * 3, abs=1e-5)
+    assert (left.position_m != first[1].position_m).any()
+    click(browser, "undo")
     click(browser, "put a camera")
     browser.wait_for("[...document.querySelectorAll('button')].some(each => /click the body/.test(each.textContent))")
     middle_px = np.mean([ball(browser, 0), ball(browser, 2)], axis=0)  # of the roof
@@ -192,7 +202,7 @@ def edit(browser, folder):
     typed = saved(browser, folder)[3]
     assert (typed.position_m[1], np.degrees(typed.pitch_rad)) == pytest.approx((-0.5, 12.0), abs=1e-5)
     type_number(browser, "roll_deg", "")
-    browser.wait_for("/roll_deg: expected a finite number/.test(document.querySelector('.message').textContent)")
+    browser.wait_for("/roll_deg: expected a finite number/.test(document.querySelector('.message')?.textContent)")
     click(browser, "mirror")
     browser.wait_for("document.querySelectorAll('.camera').length === 6")
     np.testing.assert_allclose(saved(browser, folder)[5].position_m, typed.position_m * [1, -1, 1], atol=1e-5)
@@ -200,15 +210,61 @@ def edit(browser, folder):
     browser.wait_for("document.querySelectorAll('.camera').length === 5")
     browser.wait_for("/\\d/.test(document.querySelector('.score').textContent)")
     before = saved(browser, folder)
-    click(browser, "polish from here")
-    browser.wait_for("document.querySelector('.search') !== null")
-    browser.wait_for("document.querySelector('.search') === null")
-    polished = saved(browser, folder)
-    assert [each.name for each in polished] == [each.name for each in before]
-    assert any((a.position_m != b.position_m).any() for a, b in zip(polished, before, strict=True))
+    after = polished(browser, folder)
+    assert [each.name for each in after] == [each.name for each in before]
+    assert any((a.position_m != b.position_m).any() for a, b in zip(after, before, strict=True))
     click(browser, "best place for one more")
     browser.wait_for("document.querySelectorAll('.camera').length === 6")
     assert [each.name for each in saved(browser, folder)[:5]] == [each.name for each in before]
+
+
+@pytest.mark.slow
+def test_two_rigs_are_side_by_side(folder):
+    """Ground and road users by which rig alone sees them, one table, and each rig's cameras come and go."""
+    words = ["four.yaml", "up.yaml", "scenes.test_seeds=1000..1001", "--port", "0", *SMALL]
+    with served(folder, *words) as found, Chromium(CHROMIUM) as browser:
+        browser.open(found, width_px=1280, height_px=720)
+        browser.wait_for("[...document.images].some(each => each.naturalWidth > 300)")
+        settle(browser)
+        said = lines(browser)
+        assert re.search(r"2 scenesfourupfewer than up \[95 %\]missed per 100, equal false alarms[\d.]+", said)
+        scene = town_scene(1000 + int(re.search(r"scene (\d), \d+ found by one alone", said)[1]) - 1)
+        ground = Ground.around(DeviceScene.pack(scene))
+        one, other = (
+            ground.coverage(read_rig(folder / file).cameras, heights_m=HEIGHTS_M[:1]).is_seen.any(axis=(0, 1))
+            for file in ("four.yaml", "up.yaml")
+        )
+        is_open = ground.coverage(rig(1).cameras, heights_m=HEIGHTS_M[:1]).is_open[0]
+        shares = {"four alone": one & ~other, "up alone": other & ~one, "both": one & other, "none": ~one & ~other}
+        users = 0
+        for who, cells in shares.items():
+            area_m2, count = re.search(rf"{who}: (\d+) m², (\d+) road user", said).groups()
+            assert int(area_m2) == round((cells & is_open).sum() * ground.cell_m**2)
+            users += int(count)
+        assert users == len(scene.vehicles)
+        before = pixels(browser)
+        click(browser, "cameras of four")
+        wait_until(lambda: np.abs(pixels(browser) - before).max() > 60)
+        click(browser, "cameras of four")
+        wait_until(lambda: is_as(browser, before))
+
+
+def test_side_by_side_is_served_alone(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    for words, hint in (
+        (["four.yaml", "up.yaml", "--out", "page.html"], r"warpav compare four\.yaml up\.yaml --out page\.html writes"),
+        (["street.glb", "up.yaml"], "leave the scene out"),
+    ):
+        assert main(["view", *words]) == 2
+        assert re.fullmatch(rf"command line: expected one rig, got .*; {hint}.*\n", capsys.readouterr().err)
+
+
+def polished(browser, folder):
+    """The cameras after a polish of the rig as it is."""
+    click(browser, "polish from here")
+    browser.wait_for("document.querySelector('.search') !== null")
+    browser.wait_for("document.querySelector('.search') === null")
+    return saved(browser, folder)
 
 
 def saved(browser, folder):

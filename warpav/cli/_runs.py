@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,7 +23,7 @@ from warpav.cli._arguments import (
     of_rig,
     say,
 )
-from warpav.core.errors import ArgumentError, OptionError
+from warpav.core.errors import ArgumentError, InputError, OptionError
 
 
 def optimise(
@@ -160,11 +161,9 @@ def compare(
     """Compare two or three rigs on the same unseen scenes, side by side on one page."""
     from warpav.runs import RunDisplay, compare_rigs
 
-    further = (other, *further)
-    sources = [rig, *(each for each in further if "=" not in each)]
-    overrides = [each for each in further if "=" in each]
+    sources, overrides = _rigs_and_overrides(rig, (other, *further))
     again = shlex.join(["warpav", "compare", *sources, "--out", out.name, *overrides])
-    with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
+    with of_rig(rig, config, overrides) as settings, RunDisplay(verbose=False) as display:
         say(f"wrote {compare_rigs(sources, settings, out, again=again, progress=display)}")
 
 
@@ -262,7 +261,9 @@ def inspect(
 def view(
     source: Annotated[str, Parameter(help="Run folder, rig YAML, preset, highest, or the GLB of a scene.")],
     /,
-    *overrides: Overrides,
+    *further: Annotated[
+        str, Parameter(help="One or two more rigs, to see what each alone sees, and key=value, such as rig.cameras=6.")
+    ],
     rig: Annotated[str, Parameter(help="Rig to show in the GLB of a scene.")] = "highest",
     port: Annotated[int, Parameter(help="Port of this machine, 0 for any that is free.")] = 8765,
     out: Annotated[
@@ -279,14 +280,35 @@ def view(
         raise ArgumentError(
             "rig", f"expected it beside the GLB of a scene, got {rig!r} beside {source!r}; leave one out"
         )
+    rigs, overrides = _rigs_and_overrides(source, further)
+    if len(rigs) > 1 and (is_scene or out is not None):
+        hint = f"warpav compare {shlex.join(rigs)} --out page.html writes a page" if out else "leave the scene out"
+        raise InputError(f"command line: expected one rig, got {shlex.join(rigs)}; {hint}")
     with of_rig(shown, config, overrides) as settings:
-        if out is not None:
+        if len(rigs) > 1:
+            from warpav.runs import RunDisplay, comparison_view
+
+            with RunDisplay(verbose=False) as display:
+                compared = comparison_view(rigs, settings, progress=display)
+            compared.serve(port=port, ready=_say_address)
+        elif out is not None:
             say(f"wrote {write_inspector_page(shown, settings, out, scene=scene)}")
-            return
-        serve_inspector(shown, settings, scene=scene, port=port, ready=_say_address)
+        else:
+            gc.disable()  # until the address is told: what is made up to there stays
+            try:
+                serve_inspector(shown, settings, scene=scene, port=port, ready=_say_address)
+            finally:
+                gc.enable()
+
+
+def _rigs_and_overrides(rig: str, further: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Words of a command line: rigs, and the overrides among them."""
+    return [rig, *(each for each in further if "=" not in each)], [each for each in further if "=" in each]
 
 
 def _say_address(url: str, port: int) -> None:
+    gc.freeze()
+    gc.enable()
     say(f"open {url}")
     say(f"from another machine first: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE; Ctrl-C ends the viewer")
 

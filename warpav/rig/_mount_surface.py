@@ -29,7 +29,7 @@ _MIN_PATCH_FRACTION = 0.1
 """A patch of fewer cells than this share of the largest one's is a mirror, a sill or a handle, not roof or bonnet."""
 
 _LEDGE_STEP_M = 0.3
-"""A cell beside one that is higher by this is the foot of a wall; a sill below a roof's edge is nothing else."""
+"""A cell beside one that is higher by this is the foot of a wall; a sill below a roof's edge is nothing else [m]."""
 
 _MAX_EXTENT_M = 40.0
 """A vehicle longer or wider than this was not given in metres."""
@@ -282,7 +282,7 @@ def mount_surface_from_mesh(
     Points are the first hits of vertical rays, where the face points upwards; a cell takes the highest. Cells without
     points, as over glass, are filled from those around and smoothed until none moves by more than the tolerance. Those
     with points carry a camera if their faces point upwards by ``min_zone_normal``; gaps of up to two cells are no
-    border.
+    border, but at a wall.
     """
     from scipy import ndimage
 
@@ -291,6 +291,8 @@ def mount_surface_from_mesh(
     filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
     is_upward = np.pad(_without_small_patches(is_measured & (upward >= min_zone_normal)), 2)
     is_mountable = ndimage.binary_closing(is_upward, structure=np.ones((3, 3)))[2:-2, 2:-2]  # gaps of up to two cells
+    top_m, foot_m = (each(filled_m, 3, mode="nearest") for each in (ndimage.maximum_filter, ndimage.minimum_filter))
+    is_mountable = np.asarray(is_mountable, bool) & (is_upward[2:-2, 2:-2] | (top_m - foot_m <= _LEDGE_STEP_M))
     if not is_mountable.any():
         raise InputError(
             f"ego mesh: expected faces that can carry a camera (normal z of at least {min_zone_normal}), got none with "

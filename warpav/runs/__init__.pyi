@@ -30,6 +30,7 @@ from warpav.runs._inspect import serve_inspector as serve_inspector
 from warpav.runs._inspect import write_inspector_page as write_inspector_page
 from warpav.runs._inspect import write_mount_drawing as write_mount_drawing
 from warpav.runs._jobs import compare_rigs as compare_rigs
+from warpav.runs._jobs import comparison_view as comparison_view
 from warpav.runs._jobs import measure_rig as measure_rig
 from warpav.runs._jobs import optimise as optimise
 from warpav.runs._jobs import optimise_rig as optimise_rig

@@ -16,6 +16,7 @@ from warpav.core.warp_setup import checked_device
 from warpav.optimisation import DetectionRange
 from warpav.raster.mesh import Mesh
 from warpav.rig import Rig
+from warpav.runs._evaluate import limits_for
 from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
@@ -27,6 +28,7 @@ from warpav.sight import (
     Checks,
     RequirementResult,
     RuleCheck,
+    Rules,
     SectorCounts,
     check_requirements,
     level_ground,
@@ -68,8 +70,13 @@ def check_rig_page(source: str, config: Config, *, requirements: str, out: Path)
     ego, device = first_scene(config).ego, checked_device(config.device)
     rig = find_rig(source, config, ego)
     met = check_requirements(rig, ego, wanted, supersampling=config.camera.supersampling, device=device)
-    items = [*_required(met), *rule_items(rig, ego, config, device), *_seen(rig, ego, checks, device)]
-    items += [*_far(rig, ego, checks, device), _tolerated(rig, ego, config, checks, device)]
+    limits = limits_for(source, config)
+    items = [
+        *_required(met),
+        *rule_items(rig, ego, limits, device, wanted=config.rules.limits),
+        *_seen(rig, ego, checks, device),
+    ]
+    items += [*_far(rig, ego, checks, device), _tolerated(rig, ego, limits, checks, device)]
     figures = {
         kind: io.BytesIO(figure_bytes(drawing_of(rig, Canvas(off_screen=True), kind=kind, ego=ego), ".png"))
         for kind in ("ground", "near_field", "redundancy", "plan")
@@ -93,9 +100,9 @@ def _required(met: RequirementResult) -> Iterator[Item]:
         )
 
 
-def rule_items(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Item]:
-    """The design rules, each with its worst camera."""
-    for each in RuleCheck(rig, ego, config.rules.limits, device=device).margins:
+def rule_items(rig: Rig, ego: Mesh, limits: Rules, device: str, *, wanted: Rules | None = None) -> Iterator[Item]:
+    """The design rules, each with its worst camera; ``wanted``: the limits that a run was asked to keep."""
+    for each in RuleCheck(rig, ego, limits, device=device).margins:
         factor, unit = (100.0, "%") if each.unit.startswith("of the") else (1.0, " m" if each.unit == "m" else "°")
         is_least = each.rule in ("horizon", "crossing")
         found = "nowhere" if each.value is None else f"{factor * each.value:.3g}{unit}"
@@ -103,6 +110,8 @@ def rule_items(rig: Rig, ego: Mesh, config: Config, device: str) -> Iterator[Ite
         asked, margin = "", ""
         if each.limit is not None:
             asked = f"at {'least' if is_least else 'most'} {factor * each.limit:.3g}{unit}"
+        if each.rule == "azimuth_gap" and wanted is not None and wanted.azimuth_gap_rad != limits.azimuth_gap_rad:
+            asked += f", as the run kept ({math.degrees(wanted.azimuth_gap_rad or 0.0):.3g}° wanted)"
         if each.limit is not None and each.value is not None:
             slack = (each.value - each.limit) * (1.0 if is_least else -1.0)
             margin = f"{factor * slack:+.3g}{unit}"
@@ -128,12 +137,12 @@ def _judged(
     return Item(about, asked, found, f"{factor * slack:+.0f}{unit}", slack >= 0.0, is_hard)
 
 
-def _tolerated(rig: Rig, ego: Mesh, config: Config, checks: Checks, device: str) -> Item:
+def _tolerated(rig: Rig, ego: Mesh, limits: Rules, checks: Checks, device: str) -> Item:
     """The rules that all cameras pitched up or down would break besides."""
 
     def broken(pitch_deg: float) -> set[str]:
         cameras = [replace(each, pitch_rad=each.pitch_rad + math.radians(pitch_deg)) for each in rig.cameras]
-        margins = RuleCheck(Rig(cameras), ego, config.rules.limits, device=device).margins
+        margins = RuleCheck(Rig(cameras), ego, limits, device=device).margins
         return {each.rule for each in margins if not each.is_kept}
 
     further = (broken(_TOLERANCE_DEG) | broken(-_TOLERANCE_DEG)) - broken(0.0)

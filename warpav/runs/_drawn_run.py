@@ -13,7 +13,6 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.rig import Rig
 from warpav.runs._events import of_modules, trajectory
-from warpav.runs._rig_evaluation import heading_of
 from warpav.runs.config import BY_HAND, Config
 from warpav.view import ANIMATION_PX, Canvas, drawing_of, draws
 
@@ -27,6 +26,11 @@ COMPARED_KINDS = ("plan", "ground", "range", "near_field", "redundancy", "resolu
 
 FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
 """Kinds of rigs that runs have as well: start and result side by side, of the last two the result."""
+
+
+def heading_of(name: str) -> str:
+    """A rig's name where it is read: above a column, on a figure."""
+    return {"optimised": "found", "by_hand": "by hand"}.get(name, name)
 
 
 def vehicle_name(config: Config) -> str:

@@ -1,4 +1,7 @@
-"""What an editor of rigs shows beside the rig: rules, a score on some scenes, and searches that begin with the rig."""
+"""What an editor of rigs shows beside the rig: rules, a score on some scenes, and searches that begin with the rig.
+
+What these need is imported when they are first asked for, which is after the first picture.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -15,20 +18,20 @@ from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.core.warp_setup import checked_device
 from warpav.detection import expected_miss_rate, shares_of
-from warpav.optimisation import CameraProbability, Importance, PoolTask, RigObserver, named_by_direction, polish_start
-from warpav.rig import Rig, RigCamera
-from warpav.runs._check import rule_items
-from warpav.runs._detector_fit import ensure_fit
+from warpav.rig import Rig, RigCamera, bodies_of
 from warpav.runs._mounts import objective_options, with_shared_model
 from warpav.runs._networks import load_detector
 from warpav.runs._scene_set import load_scenes
 from warpav.scene import DeviceScene, Scene
+from warpav.sight import housing_shares
 from warpav.view import Finding, RigScore
 
 if TYPE_CHECKING:
+    from warpav.optimisation import CameraProbability
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
     from warpav.runs.config import Config
+    from warpav.sight import Rules
 
 _Item = TypeVar("_Item")
 
@@ -40,12 +43,22 @@ _AWAY_M = 0.4
 """How far behind the first camera one more begins [m]."""
 
 
-def judge_of(config: Config, ego: Mesh) -> Callable[[Rig], list[Finding]]:
-    """What the design rules say of rigs on a vehicle."""
-    device = checked_device(config.device)
-    return lambda rig: [
-        Finding(each.about, each.found, each.asked, each.is_kept) for each in rule_items(rig, ego, config, device)
-    ]
+def judge_of(source: str, config: Config, ego: Mesh) -> Callable[[Rig], list[Finding]]:
+    """What the design rules say of rigs on a vehicle, by the limits for the rig that ``source`` means."""
+
+    @cache
+    def limits() -> Rules:
+        from warpav.runs._evaluate import limits_for
+
+        return limits_for(source, config)
+
+    def judge(rig: Rig) -> list[Finding]:
+        from warpav.runs._check import rule_items
+
+        items = rule_items(rig, ego, limits(), checked_device(config.device))
+        return [Finding(each.about, each.found, each.asked, each.is_kept) for each in items]
+
+    return judge
 
 
 class RigScorer:
@@ -59,26 +72,44 @@ class RigScorer:
         self._found_by = lru_cache(_KEPT_CAMERAS)(self._seen)
 
     def _fitted(self, model: CameraModel) -> CameraProbability | None:
+        from warpav.optimisation import CameraProbability
+        from warpav.runs._detector_fit import ensure_fit
+
         return CameraProbability.of(self._config.losses, ensure_fit(self._config, camera=model))
 
-    def _seen(self, camera: RigCamera, scene: int) -> tuple[np.ndarray, np.ndarray | None]:
+    def _seen(
+        self, camera: RigCamera, before: tuple[RigCamera, ...], scene: int
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """What a camera finds in a scene past the housings of others."""
+        from warpav.optimisation import RigObserver
+
         options, probability_of = objective_options(self._config), self._probability_of
+        packed = self._packed_of(scene)
+        if before:
+            packed = packed.carrying(bodies_of(Rig(before), packed.raster.foreground_mesh()))
         observer = RigObserver(
             Rig([camera]), self._detector(), options, device=self._device, probability_of=probability_of
         )
-        seen = observer.observe(self._packed_of(scene))
+        seen = observer.observe(packed)
         probability = seen.detection_probability
         return seen.detected_by_camera[0], None if probability is None else probability[0]
 
     def __call__(self, rig: Rig, scenes: Sequence[int], breathe: Callable[[], None] = lambda: None) -> RigScore:
         """The score on some scenes; ``breathe`` is called between images, and may raise."""
+        from warpav.optimisation import Importance
+
         found, probability, weight = [], [], []
         importance = Importance.of(self._config.importance)
+        cameras, before = rig.cameras, [tuple[RigCamera, ...]()] * len(rig.cameras)
+        if objective_options(self._config).cameras_have_bodies:
+            pose = np.array([camera.ego_from_camera for camera in cameras])
+            share, _ = housing_shares(pose, *zip(*((each.model, each.housing) for each in cameras), strict=True))
+            before = [tuple(cameras[k] for k in np.flatnonzero(row)) for row in share]
         for scene in scenes:
             rows = []
-            for camera in rig.cameras:
+            for camera, others in zip(cameras, before, strict=True):
                 breathe()
-                rows.append(self._found_by(camera, scene))
+                rows.append(self._found_by(camera, others, scene))
             found.append(np.any([row for row, _ in rows], axis=0))
             known = [row for _, row in rows if row is not None]
             probability.append(np.array(known) if len(known) == len(rows) else None)
@@ -117,11 +148,13 @@ def search_from(
 ) -> None:
     """Polish a rig, or look for the best place of one more camera; reports every better rig and the progress.
 
-    On the chosen of some scenes, None: of the test scenes of the configuration.
+    On the chosen of some scenes, None: of the test scenes of the configuration. A polish keeps mirrored pairs mirrored
+    where the rig is symmetric and ``rig.symmetric`` lets it be.
 
     Raises:
         InputError: The cameras are neither of one model nor all modules, or they cannot be placed.
     """
+    from warpav.optimisation import PoolTask, named_by_direction, polish_start
     from warpav.runs._jobs import optimise
     from warpav.runs._placement import Placement
 
@@ -136,7 +169,7 @@ def search_from(
         "optimiser.search": "pool",
         "optimiser.pool_rounds": 0,
         "rig.freeze": [],
-        "rig.symmetric": False,  # cameras are moved one by one, in the order of the rig
+        "rig.symmetric": "auto" if config.rig.symmetric and not more else False,  # a new camera is one, not a pair
     }
     config = config.replace(changes)
     rig = with_shared_model(rig, config)
@@ -148,10 +181,12 @@ def search_from(
     placement.prepare(progress)
     if not more:
         pose = placement.mount_pose_of(rig)
+        at = np.array([each.ego_from_camera for each in placement.mount.rig(pose).cameras])
+        order = [np.abs(at - each.ego_from_camera).sum(axis=(1, 2)).argmin() for each in rig.cameras]
         task = PoolTask.of(placement.objective, placement.train, start=pose, rules=placement.rules)
         for share, pose in polish_start(task):
-            found = zip(placement.mount.rig(pose).cameras, names, strict=True)
-            tell("polish", share, Rig(replace(camera, name=name) for camera, name in found))
+            found = placement.mount.rig(pose).cameras
+            tell("polish", share, Rig(replace(found[k], name=name) for k, name in zip(order, names, strict=True)))
         return
     found = optimise(placement, progress=progress).found
     [new] = named_by_direction([each for each in found.cameras if each.name not in names])

@@ -31,15 +31,26 @@ from warpav.optimisation import (
     observe_scenes,
 )
 from warpav.rig import Rig
+from warpav.runs._drawn_run import heading_of
 from warpav.runs._mounts import camera_mount, constraints_of
 from warpav.runs._placement import Placement
 from warpav.runs._progress import shown_progress
-from warpav.runs._rig_evaluation import RigEvaluation, heading_of, seen_objects
-from warpav.runs._rig_source import check_rig_source, find_rig
+from warpav.runs._rig_evaluation import RigEvaluation, seen_objects
+from warpav.runs._rig_source import check_rig_source, find_rig, is_run_folder
+from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
+from warpav.runs.report._content import read_evaluation
 from warpav.scene import DeviceScene, Scene
-from warpav.sight import RequirementResult, RuleCheck, RuleMargin, check_requirements, check_rigs, read_requirements
+from warpav.sight import (
+    RequirementResult,
+    RuleCheck,
+    RuleMargin,
+    Rules,
+    check_requirements,
+    check_rigs,
+    read_requirements,
+)
 from warpav.view import Canvas, draws
 
 
@@ -222,17 +233,11 @@ def rule_margins(
     """
     if not placement.config.keeps_rules:
         return None
-    settled, price = placement.config.rules.limits, math.inf
-    asked_deg = math.degrees(settled.azimuth_gap_rad or math.inf)
+    asked_deg = math.degrees(placement.config.rules.limits.azimuth_gap_rad or math.inf)
     if isinstance(searched, PoolRules):
         settled, price = searched.settled, searched.price_of_gap
-    elif searched is not None and searched.rules:
-        of_run = {each.rule: each for each in searched.rules.get(searched.first, ())}
-        gap, near = of_run.get("azimuth_gap"), of_run.get("near_ground")
-        settled = replace(settled, near_m=near and near.limit)
-        if gap is not None and gap.limit and gap.asked and math.isclose(gap.asked, asked_deg):
-            settled = replace(settled, azimuth_gap_rad=math.radians(gap.limit))
-            price = math.inf if gap.price is None else gap.price
+    else:
+        settled, price = settled_limits(placement.config, searched)
     is_wider = math.degrees(settled.azimuth_gap_rad or 0.0) > asked_deg + 1e-9
     further = {"asked": asked_deg, "price": price if math.isfinite(price) else None} if is_wider else {}
     return {
@@ -242,6 +247,25 @@ def rule_margins(
         ]
         for name, rig in rigs.items()
     }
+
+
+def settled_limits(config: Config, evaluation: RigEvaluation | None) -> tuple[Rules, float]:
+    """The limits of the design rules that a run kept, and what the asked gap would have cost; else those asked for."""
+    settled, price = config.rules.limits, math.inf
+    if evaluation is not None and evaluation.rules:
+        of_run = {each.rule: each for each in evaluation.rules.get(evaluation.first, ())}
+        gap, near = of_run.get("azimuth_gap"), of_run.get("near_ground")
+        asked_deg = math.degrees(settled.azimuth_gap_rad or math.inf)
+        settled = replace(settled, near_m=near and near.limit)
+        if gap is not None and gap.limit and gap.asked and math.isclose(gap.asked, asked_deg):
+            settled = replace(settled, azimuth_gap_rad=math.radians(gap.limit))
+            price = math.inf if gap.price is None else gap.price
+    return settled, price
+
+
+def limits_for(source: str, config: Config) -> Rules:
+    """The limits by which the rig that ``source`` means is judged: of a run those that it kept."""
+    return settled_limits(config, read_evaluation(RunFolder.open(source)) if is_run_folder(source) else None)[0]
 
 
 def highest_rig(placement: Placement) -> Rig:

@@ -9,7 +9,7 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,14 +29,13 @@ from warpav.runs._rig_source import arm_names, find_rig, is_run_folder
 from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import first_scene, load_scene, load_scenes
 from warpav.runs.config import Config
-from warpav.runs.report._content import read_evaluation
 from warpav.scene import read_scene
 from warpav.view import check_suffix, checked_figure, kinds_of, plot
 
 if TYPE_CHECKING:
     from warpav.core.progress import Progress
     from warpav.detection import CameraImage
-    from warpav.optimisation import FurtherCameras
+    from warpav.optimisation import FurtherCameras, RigObserver
     from warpav.raster.mesh import Mesh
     from warpav.rig import Module
     from warpav.scene import Scene
@@ -175,7 +174,6 @@ def inspector(
     Args:
         requirements: YAML file, or a template's name; None: there are none.
     """
-    from warpav.optimisation import RigObserver
     from warpav.view import Canvas, InspectedRig, Inspector, Steepest
 
     check = None if requirements is None else _check(requirements, config)
@@ -201,19 +199,25 @@ def inspector(
         further = run.further
         save_to = folder.path / "rig_inspected.yaml"
     mount = camera_mount(config, first.ego)
-    detector = load_detector(config)
+    detector_of = cache(lambda: load_detector(config))
+
+    def observer_of(rig: Rig) -> RigObserver:
+        from warpav.optimisation import RigObserver
+
+        return RigObserver(rig, detector_of(), objective_options(config), device=device)
+
     state = InspectedRig(
         frames,
         scene_of,
         len(seeds) if scenes is None else len(scenes),
         constraints=constraints_of(config, mount.surface),
         height_offset_m=mount.height_offset_m,
-        observer_of=lambda rig: RigObserver(rig, detector, objective_options(config), device=device),
+        observer_of=observer_of,
         descents=descents,
         further=further,
         modules=_modules(config),
         check=check,
-        judge=judge_of(config, first.ego),
+        judge=judge_of(source, config, first.ego),
         device=device,
     )
     return Inspector(
@@ -368,6 +372,8 @@ def draw_plots(
     source: str, files: Mapping[str, Path], config: Config, *, beside: Sequence[str] = (), progress: Progress | None
 ) -> tuple[list[Path], dict[str, str]]:
     """Draw plots into files by kind; of several, why some cannot be drawn is returned beside those that are."""
+    from warpav.runs.report._content import read_evaluation
+
     scene = first_scene(config)
     is_run = is_run_folder(source) and not beside
     title = None if beside else Path(source).name if is_run else Path(source).stem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,8 +15,8 @@ from warpav.core.errors import ArgumentError, InputError, OptionError, WriteErro
 from warpav.core.executor import Executor
 from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
-from warpav.core.warp_setup import device_name
-from warpav.optimisation import Drawing, IterationRecord, LoadState, PoolRun, SoiledPart
+from warpav.core.warp_setup import checked_device, device_name
+from warpav.optimisation import Drawing, IterationRecord, LoadState, ObjectOutcome, PoolRun, SoiledPart
 from warpav.rig import Rig, write_rig
 from warpav.runs._checkpoint import check_options
 from warpav.runs._evaluate import evaluate_on, rule_margins
@@ -28,14 +29,17 @@ from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs._run_figures import comparison_figures
 from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
-from warpav.runs._scene_set import load_scenes
+from warpav.runs._scene_set import load_scenes, own_vehicle_digest
 from warpav.runs.config import Config, flow_text, placed_config, with_absolute_paths
 from warpav.runs.report._content import RunContent, read_content, read_evaluation
+from warpav.runs.report._statements import verdict
 from warpav.runs.report.report import write_comparison
+from warpav.runs.report.tables import comparison_table
 from warpav.runs.robustness import load_states_of, soiling_of
 
 if TYPE_CHECKING:
     from warpav.scene import Scene
+    from warpav.view import BrowserComparison, RigsSideBySide
 
 _CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""
@@ -239,8 +243,15 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
         reached = "what was reached is in {}, for warpav evaluate, inspect and report"
         if not optimisation.records:
             reached = "there is no step yet; the start is in {}, for warpav evaluate and inspect"
+        parts = optimisation.placement.parts
+        objects = (parts.ego, parts.detector, parts.probability, parts.losses, parts.requirements)
+        is_of_files = not parts.has_own_scenes and all(each is None for each in objects)
+        resumes = shlex.join(["warpav", "optimise", "--resume", str(folder.path)])
+        ways = [resumes] * is_of_files + ["the same call of wa.optimise"]
+        text = f"stopped; {reached.format(folder.path)}; {{}} goes on"
         with contextlib.suppress(OSError):  # the terminal may be gone
-            progress.say(f"stopped; {reached.format(folder.path)}; warpav optimise --resume {folder.path} goes on")
+            progress.say(text.format(ways[0]))
+        error.add_note(text.format(" or ".join(ways)))  # in Python most runs show no progress
         raise
 
 
@@ -364,18 +375,54 @@ def _measured_beside(
 
 def compare_rigs(sources: Sequence[str], config: Config, out: Path, *, again: str, progress: Progress) -> Path:
     """Write a page that stands alone with two or three rigs side by side, on the same test scenes."""
-    if not 2 <= len(sources) <= 3 or len(set(sources)) < len(sources):
-        raise InputError(f"command line: expected two or three different rigs, got {' '.join(sources)}")
     if out.suffix.lower() != ".html":
         raise ArgumentError("out", f"expected a page to write, such as page.html, got {str(out)!r}")
     if not out.absolute().parent.is_dir():
         raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    compared, placement = _side_by_side(sources, config, progress)
+    assert compared.evaluation is not None
+    return write_comparison(compared, comparison_figures(compared.evaluation, placement, progress), out, again)
+
+
+def comparison_view(sources: Sequence[str], config: Config, *, progress: Progress) -> BrowserComparison:
+    """Two or three rigs in one view for browsers, compared as on the page of `compare_rigs`; not yet served."""
+    from warpav.view import BrowserComparison, RigsSideBySide, new_token
+
+    def compared() -> RigsSideBySide:
+        found, placement = _side_by_side(sources, config, progress)
+        evaluation = found.evaluation
+        assert evaluation is not None
+        scenes = list(placement.as_seen(list(load_scenes(config, config.scenes.test_seeds))))
+        finds = [
+            [each.outcome[name] == ObjectOutcome.DETECTED for each in evaluation.objects] for name in evaluation.rigs
+        ]
+        ends = np.cumsum([len(scene.vehicles) for scene in scenes])
+        return RigsSideBySide(
+            evaluation.rigs,
+            scenes,
+            np.split(np.array(finds), ends[:-1], axis=1),
+            verdict(found).text,
+            comparison_table(found)._repr_html_(),
+            device=checked_device(config.device),
+        )
+
+    return BrowserComparison(compared, token=new_token(), name=" | ".join(Path(each).stem for each in sources))
+
+
+def _side_by_side(sources: Sequence[str], config: Config, progress: Progress) -> tuple[RunContent, Placement]:
+    """Two or three rigs on the same test scenes."""
+    if not 2 <= len(sources) <= 3 or len(set(sources)) < len(sources):
+        raise InputError(f"command line: expected two or three different rigs, got {shlex.join(sources)}")
     names = arm_names(sources[0], sources[1:])
     if "optimised" in names:  # beside others a run is called by its folder
         own = Path(sources[0]).absolute().name
         names = {(sources[0] if own in names else own): sources[0], **dict(list(names.items())[1:])}
     for source in filter(is_run_folder, sources):
-        searched = RunFolder.open(source).config().scenes
+        folder = RunFolder.open(source)
+        searched = (of_run := folder.config()).scenes
+        if own_vehicle_digest(of_run) != own_vehicle_digest(config):
+            text = f"expected {searched.ego or 'none'}, the vehicle of {source}, got {config.scenes.ego or 'none'}"
+            raise OptionError("scenes.ego", f"{text}; on another vehicle compare {folder.rig_file()} itself")
         known = {*searched.train_seeds, *(searched.validation_seeds or ())} & {*config.scenes.test_seeds}
         if searched.source == config.scenes.source and known:
             raise OptionError(
@@ -385,12 +432,7 @@ def compare_rigs(sources: Sequence[str], config: Config, out: Path, *, again: st
     rigs = {name: _rig_to_measure(source, placement, progress) for name, source in names.items()}
     found = _measured_beside(rigs, names, placement, progress).compared()
     evaluation = found.model_copy(update={"rules": rule_margins(rigs, placement)})
-    return write_comparison(
-        RunContent(evaluation=evaluation, config=config),
-        comparison_figures(evaluation, placement, progress),
-        out,
-        again,
-    )
+    return RunContent(evaluation=evaluation, config=config), placement
 
 
 def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:

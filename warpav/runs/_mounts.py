@@ -143,10 +143,10 @@ def _network_model(model: CameraModel, config: Config) -> CameraModel:
 
 def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
     """How many cameras of which module a rig may have; None where all cameras are equal."""
-    from warpav.optimisation import RigLimits
-
     if config.rig.module_counts is None:
         return None
+    from warpav.optimisation import RigLimits
+
     if config.rig.max_cost is not None:
         check_one_unit(rig_modules(config))
     pairs = surface.pairs or (False,) * len(surface.modules)

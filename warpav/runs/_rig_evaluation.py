@@ -74,11 +74,6 @@ _RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category":
 """Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
 
 
-def heading_of(name: str) -> str:
-    """A rig's name where it is read: above a column, on a figure."""
-    return {"optimised": "found", "by_hand": "by hand"}.get(name, name)
-
-
 class _Part(BaseModel):
     """A part of the file; what nobody shows is left out, and what older versions did not write is None or empty."""
 

@@ -17,6 +17,7 @@ import contextlib
 import csv
 import io
 import json
+import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -383,7 +384,7 @@ def check_new_run(config: Config) -> None:
         for each in out.rglob("*")
         if not each.name.startswith(DRAFT)
     ):
-        resumes = f"; warpav optimise --resume {out} goes on with the run in it"
+        resumes = f"; warpav optimise --resume {shlex.quote(str(out))} goes on with the run in it"
         raise OptionError(
             "run.out",
             f"expected a folder that does not exist yet, got {str(out)!r}; "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -124,7 +125,7 @@ def check_vehicle(
         lines.append(f"wrote {image}")
     if out is not None and is_fixable:
         write_vehicle(_with_colours(found, path, reading).corrected, out, source=path.name)
-        lines.append(f"wrote {out}; use it with scenes.ego={out}")
+        lines.append(f"wrote {out}; use it with {shlex.join([f'scenes.ego={out}'])}")
         return _VehicleReport(tuple(lines), ())
     found_wrong = tuple(f"{path}: {problem.text}" for problem in problems)
     if needs_writing and all(problem.remedy is not None for problem in problems):
@@ -133,7 +134,7 @@ def check_vehicle(
             fix.setdefault("rear-axle", f"{rear_axle_m:g}")
         return _VehicleReport(tuple(lines), found_wrong, fix)
     if not found_wrong:
-        lines.append(f"it can be used as it is: scenes.ego={path}")
+        lines.append(f"it can be used as it is: {shlex.join([f'scenes.ego={path}'])}")
     return _VehicleReport(tuple(lines), found_wrong)
 
 
@@ -236,7 +237,12 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
 
     if image is not None:
         check_suffix(image)
-    mesh = read_vehicle(path)
+    try:
+        mesh = read_vehicle(path)
+    except InputError as error:
+        text, advice, _ = str(error).partition("; read it with ")
+        how = f"; {shlex.join(['warpav', 'vehicle', 'check', str(path)])} says how to fix it" if advice else ""
+        raise InputError(f"{text}{how}") from None
     names = part_names(path, mesh)
     kind = None if names is None else kinds_of_names(names)
     parts = parts_of(mesh, kind)
@@ -264,7 +270,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     untold = "; ".join(filter(None, (parts.untold, *lost)))
     if untold:
         yield f"  not told    {untold}: look at a picture, and edit keep_out_m"
-    yield f"wrote {out}; edit it, and use it with mount.zones={out}"
+    yield f"wrote {out}; edit it, and use it with {shlex.join([f'mount.zones={out}'])}"
     if image is not None:
         title = f"zones of {path.name}"
         if image.suffix.lower() == ".png":

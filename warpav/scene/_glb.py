@@ -156,7 +156,8 @@ def read_scene(path: str | Path) -> Scene:
     for name in (ENVIRONMENT_NODE, EGO_NODE):
         if name not in nodes:
             known = ", ".join(sorted(nodes)) or "none"
-            raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
+            remedy = "rename the node, or give a vehicle alone as scenes.ego"
+            raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; {remedy}")
     count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in nodes)
     if count > TRIANGLES_MAX:
         raise InputError(f"{path}: expected at most {TRIANGLES_MAX:,} triangles in all nodes, got {count:,}")

@@ -495,10 +495,11 @@ class _Findings:
             self.hints.append(f"{text}; accepted as stated")
             return
         self._problem(text, remedy)
-        if "forward" in remedy and not shape.is_forward_sure:
+        if "forward" in remedy and not shape.has_mirrors:
             other = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
-            text = "front and rear look alike: if the image shows it backwards, give `forward`"
-            self.hints.append(f"{text} {other} instead")
+            why = "the front is told by the cabin, which pickups and lorries have nearer to it"
+            why = why if shape.is_forward_sure else "front and rear look alike"
+            self.hints.append(f"{why}: if the image shows it backwards, give `forward` {other} instead")
 
     def look_at_place(self, mesh: Mesh, wheels: Wheels | None, rear_axle_m: float | None) -> np.ndarray:
         """Translation of the vehicle onto the ground and its rear axle [m], [3]."""

@@ -39,6 +39,7 @@ from warpav.sight._rules import Rules as Rules
 from warpav.sight._rules import border_margin as border_margin
 from warpav.sight._rules import crossing_angle_rad as crossing_angle_rad
 from warpav.sight._rules import horizon_margin as horizon_margin
+from warpav.sight._rules import housing_shares as housing_shares
 from warpav.sight._rules import near_ring_m as near_ring_m
 from warpav.sight._rules import own_body as own_body
 from warpav.sight._rules import own_body_limit as own_body_limit

@@ -4,7 +4,9 @@ from warpav.view._blocks import rig_to_pyvista as rig_to_pyvista
 from warpav.view._blocks import run_to_pyvista as run_to_pyvista
 from warpav.view._blocks import scene_to_pyvista as scene_to_pyvista
 from warpav.view._browser import DEFAULT_PORT as DEFAULT_PORT
+from warpav.view._browser import BrowserComparison as BrowserComparison
 from warpav.view._browser import BrowserInspector as BrowserInspector
+from warpav.view._browser import RigsSideBySide as RigsSideBySide
 from warpav.view._browser import new_token as new_token
 from warpav.view._editing import Finding as Finding
 from warpav.view._editing import RigScore as RigScore

@@ -13,6 +13,7 @@ import os
 import secrets
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +21,17 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, install_text
 from warpav.core.executor import Job, Outcome
+from warpav.scene import DeviceScene
+from warpav.sight import Ground
 from warpav.view._editing import NUMBERS
 from warpav.view._inspector import SHOWN_HEIGHTS_M, SWITCHES
-from warpav.view._layers import patch_words
-from warpav.view._palette import camera_rgb, hex_colour
+from warpav.view._layers import add_coverage, no_render, patch_words, remove
+from warpav.view._output import Canvas
+from warpav.view._palette import NOT_ALONE_RGB, alone, camera_rgb, hex_colour
+from warpav.view._picture import WIDE_ZOOM, Picture, add_camera, add_scene, rig_plotter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from warpav.rig import Rig
     from warpav.scene import Scene
@@ -65,7 +70,123 @@ def new_token() -> str:
     return secrets.token_urlsafe(24)
 
 
-class BrowserInspector:
+class _Page:
+    """A page of a server on this machine: a panel of controls beside what a plotter shows."""
+
+    def __init__(self, *, token: str, name: str) -> None:
+        self._server, self._html, self._v = _new_server()
+        self.token, self.port = token, 0
+        self.state: Any = self._server.state
+        self.state.update({"trame__title": f"{name} - warpav", "rig_name": name, "message": ""})
+
+    @property
+    def url(self) -> str:
+        """The address to open."""
+        return f"http://{_HOST}:{self.port}/index.html?secret={self.token}"
+
+    def serve(self, *, port: int = DEFAULT_PORT, ready: Callable[[str, int], None] | None = None) -> None:
+        """Answer browsers until this is interrupted."""
+
+        def has_started(**_: Any) -> None:  # noqa: ANN401 (whatever the server tells)
+            self.port = int(self._server.port)
+            if ready is not None:
+                ready(self.url, self.port)
+            for each in self._server.protocol.getLinkProtocols():
+                if hasattr(each, "min_frame_rate"):  # it would wait between images that take longer
+                    each.min_frame_rate = each.max_frame_rate = each.target_frame_rate = _IMAGES_A_SECOND
+            self._has_begun()
+
+        self._server.controller.on_server_ready.add(has_started)
+        # the server reads the words of the command line unless it is given others
+        with _environment("TRAME_ARGS", f"--server --nosignalhandlers --no-ws-compress --authKey={self.token}"):
+            try:
+                asyncio.run(self._run(port))
+            except OSError as error:
+                raise ArgumentError(
+                    "port", f"expected one that is free, got {port}: {error.strerror}; try another one"
+                ) from None
+            finally:
+                self._has_ended()
+
+    async def _run(self, port: int) -> None:
+        for name in ("wslink", "aiohttp.server"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # a tab that is closed is no error
+        await self._server.start(
+            port=port,
+            host=_HOST,
+            open_browser=False,
+            show_connection_info=False,
+            disable_logging=True,
+            exec_mode="coroutine",
+            timeout=0,
+        )
+
+    def _follow(self) -> None:
+        """Show in the controls what the plotter shows."""
+
+    def _has_begun(self) -> None:
+        """Browsers are answered from now on."""
+
+    def _has_ended(self) -> None:
+        """They no longer are."""
+
+    def _do(self, action: Callable[..., object], *words: Any) -> None:  # noqa: ANN401 (of the action)
+        """Do what a control stands for; the page follows, and says what keeps it from being done."""
+        self.state.message = ""
+        try:
+            action(*words)
+        except InputError as error:
+            self.state.message = str(error)
+        self._follow()
+        self._update()
+        # an image is left out while the browser has not yet answered for the one before
+        asyncio.get_running_loop().call_later(_AGAIN_S, self._update)
+
+    @contextlib.contextmanager
+    def _panel_beside(self, plotter: Any) -> Iterator[None]:  # noqa: ANN401 (of pyvista)
+        """What is made within stands in the panel, beside the view of a plotter."""
+        from trame.ui.vuetify3 import VAppLayout
+        from trame.widgets import vtk
+
+        html, v = self._html, self._v
+        plotter.show(auto_close=False, interactive=False)
+        # every image that is sent is drawn for it: one more for each move of the mouse would take twice the time
+        plotter.iren.interactor.EnableRenderOff()
+        with VAppLayout(self._server, full_height=True) as layout:
+            layout.root.theme = "light"
+            with v.VNavigationDrawer(permanent=True, width=_PANEL_PX, classes="pa-3"):
+                yield
+            with v.VMain(), html.Div(style="position: relative; width: 100%; height: 100%"):
+                view = vtk.VtkRemoteView(
+                    plotter.render_window,
+                    interactive_ratio=1,
+                    still_ratio=1,
+                    interactive_quality=_INTERACTIVE_QUALITY,
+                    still_quality=_STILL_QUALITY,
+                )
+        self._update = view.update
+
+    def _make_message(self) -> None:
+        self._html.Div("{{ message }}", v_if="message", classes="text-caption bg-amber-lighten-4 pa-1 my-1 message")
+
+    def _select(
+        self,
+        name: str,
+        label: str,
+        action: Callable[[Any], object],
+        choices: list[tuple[Any, str]],
+        **options: Any,  # noqa: ANN401 (of Vuetify)
+    ) -> Any:  # noqa: ANN401 (a widget)
+        items = (f"{name}_choices", [{"value": value, "title": title} for value, title in choices])
+        chosen = (partial(self._do, action), "[$event]")
+        options |= {"label": label, "items": items, "classes": "my-2", **_SMALL}
+        return self._v.VSelect(v_model=(name,), update_modelValue=chosen, **options)
+
+    def _button(self, label: str, action: Callable[[], object], **options: Any) -> None:  # noqa: ANN401 (of Vuetify)
+        self._v.VBtn(label, size="small", classes="my-1 mr-1 text-none", click=partial(self._do, action), **options)
+
+
+class BrowserInspector(_Page):
     """An inspector as a page of a server on this machine."""
 
     def __init__(
@@ -84,83 +205,28 @@ class BrowserInspector:
             scorer_of: Gives what scores rigs on scenes, by their numbers; None: no score.
             search: As `warpav.runs._editor.search_from`; None: no searches.
         """
-        self._server, self._html, self._v = _new_server()
-        self.token, self.port = token, 0
-        self.state: Any = self._server.state
-        self.state.update({"trame__title": f"{name} - warpav", "rig_name": name, "tab": "edit", "lines": []})
-        self.state.update(
-            {"message": "", "score": None, "is_scoring": False, "searched": "", "found": "", "share": 0.0}
-        )
+        super().__init__(token=token, name=name)
+        self.state.update({"tab": "edit", "lines": []})
+        self.state.update({"score": None, "is_scoring": False, "searched": "", "found": "", "share": 0.0})
         self._search, self._job, self._last = search, None, None
-        self._beside, self._scoring, self._quiet_until = ThreadPoolExecutor(1), 0, 0.0
+        self._beside, self._scoring, self._quiet_until, self._is_judged = ThreadPoolExecutor(1), 0, 0.0, False
         self._scored: tuple[Any, ...] = ()
         self.inspector = inspector_of(self._tell)
         shown = self.inspector.state
         self.state.scored = list(range(min(_SCORED, shown.scene_count)))
         self._scorer = scorer_of and scorer_of(shown.scene_of)
-        self.inspector.plotter.show(auto_close=False, interactive=False)
-        # every image that is sent is drawn for it: one more for each move of the mouse would take twice the time
-        self.inspector.plotter.iren.interactor.EnableRenderOff()
         self._make_page()
         self._follow()
 
-    @property
-    def url(self) -> str:
-        """The address to open."""
-        return f"http://{_HOST}:{self.port}/index.html?secret={self.token}"
+    def _has_begun(self) -> None:
+        asyncio.get_running_loop().call_later(_FIRST_SCORE_S, self._judge)
 
-    def serve(self, *, port: int = DEFAULT_PORT, ready: Callable[[str, int], None] | None = None) -> None:
-        """Answer browsers until this is interrupted."""
-
-        def has_started(**_: Any) -> None:  # noqa: ANN401 (whatever the server tells)
-            self.port = int(self._server.port)
-            if ready is not None:
-                ready(self.url, self.port)
-            for each in self._server.protocol.getLinkProtocols():
-                if hasattr(each, "min_frame_rate"):  # it would wait between images that take longer
-                    each.min_frame_rate = each.max_frame_rate = each.target_frame_rate = _IMAGES_A_SECOND
-            asyncio.get_running_loop().call_later(_FIRST_SCORE_S, self._score)
-
-        self._server.controller.on_server_ready.add(has_started)
-        # the server reads the words of the command line unless it is given others
-        with _environment("TRAME_ARGS", f"--server --nosignalhandlers --no-ws-compress --authKey={self.token}"):
-            try:
-                asyncio.run(self._run(port))
-            except OSError as error:
-                raise ArgumentError(
-                    "port", f"expected one that is free, got {port}: {error.strerror}; try another one"
-                ) from None
-            finally:
-                self._scoring += 1
-                if self._job is not None:
-                    self._job.stop()
-
-    async def _run(self, port: int) -> None:
-        for name in ("wslink", "aiohttp.server"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)  # a tab that is closed is no error
-        await self._server.start(
-            port=port,
-            host=_HOST,
-            open_browser=False,
-            show_connection_info=False,
-            disable_logging=True,
-            exec_mode="coroutine",
-            timeout=0,
-        )
+    def _has_ended(self) -> None:
+        self._scoring += 1
+        if self._job is not None:
+            self._job.stop()
 
     # ------------------------------------------------------------------------------------------------- what users do
-
-    def _do(self, action: Callable[..., object], *words: Any) -> None:  # noqa: ANN401 (of the action)
-        """Do what a control stands for; the page follows, and says what keeps it from being done."""
-        self.state.message = ""
-        try:
-            action(*words)
-        except InputError as error:
-            self.state.message = str(error)
-        self._follow()
-        self._update()
-        # an image is left out while the browser has not yet answered for the one before
-        asyncio.get_running_loop().call_later(_AGAIN_S, self._update)
 
     def _typed(self, number: str, text: str) -> None:
         """Set a number of the chosen camera's pose."""
@@ -179,6 +245,11 @@ class BrowserInspector:
         self.inspector.choose(None if camera == self.inspector.chosen else camera)
 
     # --------------------------------------------------------------------------------------- in the background
+
+    def _judge(self) -> None:
+        """From now on say what constraints and rules say, and score: after the first picture, which is the sooner."""
+        self._is_judged = True
+        self._follow()
 
     def _score(self) -> None:
         """Score the rig as it is now, beside all else; what is scored for another rig ends."""
@@ -277,46 +348,32 @@ class BrowserInspector:
                 for name, value in zip(NUMBERS, [*camera.position_m, *angles_deg], strict=True):
                     state[name] = f"{round(float(value), 3 if name.endswith('_m') else 1) + 0.0:g}"
                 state.module = camera.module
-            state.findings = [each._asdict() for each in edits.edit.findings]
-        with contextlib.suppress(RuntimeError):  # before the page is served there is nobody to score for
+            state.findings = [each._asdict() for each in (edits.edit.findings if self._is_judged else ())]
+        if self._is_judged:
             self._score()
 
     def _make_page(self) -> None:
-        from trame.ui.vuetify3 import VAppLayout
-        from trame.widgets import vtk
-
         html, v = self._html, self._v
-        with VAppLayout(self._server, full_height=True) as layout:
-            layout.root.theme = "light"
-            with v.VNavigationDrawer(permanent=True, width=_PANEL_PX, classes="pa-3"):
-                with html.Div(classes="d-flex align-center"):
-                    html.Div("{{ rig_name }}", classes="text-h6 text-truncate flex-grow-1", title=("rig_name",))
-                    style = {"variant": "text", "density": "comfortable"}
-                    for step in ("undo", "redo"):
-                        options = {"icon": f"mdi-{step}", "title": step, "disabled": (f"!can_{step}",), **style}
-                        self._button("", partial(self.inspector.edit, step), **options)
-                    self._button("", self._write, icon="mdi-content-save", title="save", **style)
-                html.Div("{{ message }}", v_if="message", classes="text-caption bg-amber-lighten-4 pa-1 my-1 message")
-                with v.VTabs(v_model=("tab",), density="compact", grow=True, show_arrows=False, classes="mb-2"):
-                    broken = "{{ findings.filter(each => each.is_kept === false).length }}"
-                    for tab, title in {"edit": "edit", "rules": f"rules ({broken} broken)", "view": "view"}.items():
-                        v.VTab(title, value=tab, classes="text-none px-2", min_width=0)
-                with html.Div(v_show="tab === 'edit'"):
-                    self._make_edit_tab()
-                with html.Div(v_show="tab === 'rules'"):
-                    self._make_findings("findings")
-                with html.Div(v_show="tab === 'view'"):
-                    self._make_view_tab()
-                    html.Div("{{ line }}", v_for="line, k in lines", key="k", classes="text-caption line")
-            with v.VMain(), html.Div(style="position: relative; width: 100%; height: 100%"):
-                view = vtk.VtkRemoteView(
-                    self.inspector.plotter.render_window,
-                    interactive_ratio=1,
-                    still_ratio=1,
-                    interactive_quality=_INTERACTIVE_QUALITY,
-                    still_quality=_STILL_QUALITY,
-                )
-        self._update = view.update
+        with self._panel_beside(self.inspector.plotter):
+            with html.Div(classes="d-flex align-center"):
+                html.Div("{{ rig_name }}", classes="text-h6 text-truncate flex-grow-1", title=("rig_name",))
+                style = {"variant": "text", "density": "comfortable"}
+                for step in ("undo", "redo"):
+                    options = {"icon": f"mdi-{step}", "title": step, "disabled": (f"!can_{step}",), **style}
+                    self._button("", partial(self.inspector.edit, step), **options)
+                self._button("", self._write, icon="mdi-content-save", title="save", **style)
+            self._make_message()
+            with v.VTabs(v_model=("tab",), density="compact", grow=True, show_arrows=False, classes="mb-2"):
+                broken = "{{ findings.filter(each => each.is_kept === false).length }}"
+                for tab, title in {"edit": "edit", "rules": f"rules ({broken} broken)", "view": "view"}.items():
+                    v.VTab(title, value=tab, classes="text-none px-2", min_width=0)
+            with html.Div(v_show="tab === 'edit'"):
+                self._make_edit_tab()
+            with html.Div(v_show="tab === 'rules'"):
+                self._make_findings("findings")
+            with html.Div(v_show="tab === 'view'"):
+                self._make_view_tab()
+                html.Div("{{ line }}", v_for="line, k in lines", key="k", classes="text-caption line")
 
     def _make_edit_tab(self) -> None:
         html, v = self._html, self._v
@@ -398,21 +455,100 @@ class BrowserInspector:
     def _scenes(self) -> list[tuple[Any, str]]:
         return [(k, f"scene {k + 1}") for k in range(self.inspector.state.scene_count)]
 
-    def _select(
-        self,
-        name: str,
-        label: str,
-        action: Callable[[Any], object],
-        choices: list[tuple[Any, str]],
-        **options: Any,  # noqa: ANN401 (of Vuetify)
-    ) -> Any:  # noqa: ANN401 (a widget)
-        items = (f"{name}_choices", [{"value": value, "title": title} for value, title in choices])
-        chosen = (partial(self._do, action), "[$event]")
-        options |= {"label": label, "items": items, "classes": "my-2", **_SMALL}
-        return self._v.VSelect(v_model=(name,), update_modelValue=chosen, **options)
 
-    def _button(self, label: str, action: Callable[[], object], **options: Any) -> None:  # noqa: ANN401 (of Vuetify)
-        self._v.VBtn(label, size="small", classes="my-1 mr-1 text-none", click=partial(self._do, action), **options)
+@dataclass(frozen=True, eq=False)
+class RigsSideBySide:
+    """Rigs on the same scenes, and what they miss there."""
+
+    rigs: Mapping[str, Rig]
+    scenes: Sequence[Scene]
+    found: Sequence[np.ndarray]  # of each scene, whether a rig finds a road user, bool [rig, road user]
+    verdict: str
+    table: str  # HTML
+    device: str = "cpu"
+
+
+class BrowserComparison(_Page):
+    """Rigs in one view: what of ground and road users which of them alone sees, and what they miss."""
+
+    def __init__(self, compared: Callable[[], RigsSideBySide], *, token: str, name: str) -> None:
+        """Compare the rigs, and make the page; nothing is served yet."""
+        super().__init__(token=token, name=name)
+        self.compared, self.hidden = compared(), set[int]()
+        self._alone = [int((alone(found) < len(found)).sum()) for found in self.compared.found]
+        self.shown, rigs = {"scene": int(np.argmax(self._alone)), "height": 0}, self.compared.rigs
+        self._colours = {f"{name} alone": camera_rgb(k) for k, name in enumerate(rigs)} | dict(
+            zip(("both" if len(rigs) == 2 else "two or more", "none"), NOT_ALONE_RGB, strict=True)
+        )
+        self.plotter = rig_plotter(Picture(scene=self._scene), Canvas(zoom=WIDE_ZOOM, off_screen=True))
+        self.plotter.disable_anti_aliasing()
+        self.plotter.renderer.SetUseOIT(False)
+        for k, rig in enumerate(rigs.values()):
+            for camera in rig.cameras:
+                add_camera(self.plotter, replace(camera, name=f"{k}.{camera.name}"), k)
+        self._make_page()
+        self._follow()
+
+    @property
+    def _scene(self) -> Scene:
+        return self.compared.scenes[self.shown["scene"]]
+
+    def _show(self, name: str, value: int) -> None:
+        self.shown[name] = value
+
+    def _toggle(self, rig: int) -> None:
+        self.hidden ^= {rig}
+
+    def _follow(self) -> None:
+        plotter, rigs, height_m = self.plotter, self.compared.rigs, SHOWN_HEIGHTS_M[self.shown["height"]]
+        cameras = [camera for rig in rigs.values() for camera in rig.cameras]
+        ground = Ground.around(DeviceScene.pack(self._scene, device=self.compared.device))
+        coverage = ground.coverage(cameras, heights_m=(height_m,))
+        firsts = np.cumsum([0, *(len(rig.cameras) for rig in rigs.values())])[:-1]
+        seen_by = alone(np.logical_or.reduceat(coverage.is_seen[:, 0], firsts))
+        found_by = alone(self.compared.found[self.shown["scene"]])
+        with no_render(plotter):
+            remove(plotter, "scene")
+            words = list(self._colours)
+            add_scene(plotter, self._scene, [words[k] for k in found_by], colours=self._colours)
+            surface = add_coverage(plotter, coverage, legend=False)
+            rgb = np.array([*self._colours.values()], np.uint8)
+            surface.cell_data["RGBA"][:, :3] = rgb[seen_by[coverage.is_open[0]]]
+            for name, actor in plotter.actors.items():
+                if name.startswith("rig/"):
+                    actor.visibility = int(name.split("/")[1].split(".")[0]) not in self.hidden
+        areas_m2 = np.bincount(seen_by[coverage.is_open[0]], minlength=len(rgb)) * ground.cell_m**2
+        counts = np.bincount(found_by, minlength=len(rgb))
+        with self.state as state:
+            state.update(self.shown)
+            state.seen = [
+                {"who": who, "colour": hex_colour(colour), "area": f"{area_m2:.0f} m²", "users": int(count)}
+                for (who, colour), area_m2, count in zip(self._colours.items(), areas_m2, counts, strict=True)
+            ]
+
+    def _make_page(self) -> None:
+        from trame.widgets import client
+
+        html, v, compared = self._html, self._v, self.compared
+        with self._panel_beside(self.plotter):
+            html.Div("{{ rig_name }}", classes="text-h6")
+            self._make_message()
+            html.Div(compared.verdict, classes="text-body-2 my-1")
+            html.Div(v_html=("compared", compared.table), classes="text-caption compared")
+            client.Style(
+                ".compared :is(th, td) { padding: 0 3px; line-height: 1.2 } .compared td { white-space: nowrap }"
+            )
+            scenes = [(k, f"scene {k + 1}, {count} found by one alone") for k, count in enumerate(self._alone)]
+            self._select("scene", "scene", partial(self._show, "scene"), scenes)
+            heights = [(k, patch_words(height_m)) for k, height_m in enumerate(SHOWN_HEIGHTS_M)]
+            self._select("height", "seen on the ground", partial(self._show, "height"), heights)
+            with html.Div(v_for="each in seen", key="each.who", classes="d-flex text-caption seen"):
+                html.Div(style=("`width: 14px; height: 14px; margin: 3px 6px 0 0; background: ${each.colour}`",))
+                html.Div("{{ each.who }}: {{ each.area }}, {{ each.users }} road user{{ each.users === 1 ? '' : 's' }}")
+            for k, name in enumerate(compared.rigs):
+                toggled = partial(self._do, self._toggle, k)
+                options = {"label": f"cameras of {name}", "color": hex_colour(camera_rgb(k)), "classes": "ml-2"}
+                v.VSwitch(v_model=(f"shows_{k}", True), update_modelValue=toggled, **options, **_SMALL)
 
 
 _PANEL_PX, _WIDE_PX = 340, 312

@@ -217,13 +217,20 @@ def add_visibility(plotter: Plotter, camera: RigCamera, index: int, scene: Devic
     paint(plotter, surface, colours="RGBA", name=name)
 
 
-def add_outcomes(plotter: Plotter, scene: Scene, outcomes: Sequence[str], *, legend: bool = True) -> None:
+def add_outcomes(
+    plotter: Plotter,
+    scene: Scene,
+    outcomes: Sequence[str],
+    *,
+    legend: bool = True,
+    colours: Mapping[str, Rgb] = OUTCOME_RGB,
+) -> None:
     """Add the vehicles of a scene in the colours of what becomes of them, each in a box."""
     pyvista = load_pyvista()
     if len(outcomes) != len(scene.vehicles):
         raise ValueError(f"expected an outcome of each of {len(scene.vehicles)} vehicles, got {len(outcomes)}")
     for vehicle, outcome in zip(scene.vehicles, outcomes, strict=True):
-        colour, name = OUTCOME_RGB[outcome], f"scene/outcomes/{vehicle.instance_id}"
+        colour, name = colours[outcome], f"scene/outcomes/{vehicle.instance_id}"
         surface = mesh_to_pyvista(vehicle.mesh)
         surface.point_data["RGB"] = (0.45 * vehicle.mesh.vertex_rgb + 0.55 * np.array(colour)).astype(np.uint8)
         paint(plotter, surface, name=f"{name}/body")

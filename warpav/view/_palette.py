@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 Rgb = tuple[int, int, int]
 """An sRGB colour, 0..255."""
 
@@ -44,6 +46,9 @@ COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222)
 COVERAGE_WORDS = ("no camera", "one camera", "two cameras", "three or more")
 """Of ground by how many cameras see it."""
 
+NOT_ALONE_RGB: tuple[Rgb, Rgb] = ((224, 234, 244), (150, 150, 150))
+"""Of what several rigs see, and none."""
+
 _ZONE_RGB: tuple[Rgb, ...] = (
     (86, 180, 233),
     (230, 159, 0),
@@ -65,6 +70,12 @@ def further_map() -> Any:  # noqa: ANN401 (matplotlib)
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("further", [hex_colour(rgb) for rgb in FURTHER_RGB])
+
+
+def alone(seen: np.ndarray) -> np.ndarray:
+    """Which of several, from 0, alone sees something, of bool [one, ...]; their number: several do; one more: none."""
+    shared = np.where(seen.any(axis=0), len(seen), len(seen) + 1)
+    return np.where(seen.sum(axis=0) == 1, seen.argmax(axis=0), shared)
 
 
 def zone_rgb(index: int) -> Rgb:

@@ -32,10 +32,10 @@ from warpav.view._layers import (
 from warpav.view._opengl import has_display, load_pyvista, load_pyvista_data
 from warpav.view._outlines import beam_lines, bearing_sector_rad, frustum_points, view_edges
 from warpav.view._output import Canvas, render_rgb
-from warpav.view._palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
+from warpav.view._palette import GROUND_RGB, INK_RGB, OUTCOME_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from warpav.optimisation import FurtherCameras
     from warpav.raster.mesh import Mesh
@@ -349,7 +349,14 @@ def _add_axes(plotter: Plotter, *, length_m: Sequence[float] | np.ndarray, thick
     add_labels(plotter, np.array(tips), list(_AXIS_RGB), size=15, name="axis_labels")
 
 
-def add_scene(plotter: Plotter, scene: Scene, outcomes: Sequence[str] | None = None, *, legend: bool = False) -> None:
+def add_scene(
+    plotter: Plotter,
+    scene: Scene,
+    outcomes: Sequence[str] | None = None,
+    *,
+    legend: bool = False,
+    colours: Mapping[str, Rgb] = OUTCOME_RGB,
+) -> None:
     """Add street and traffic around the ego vehicle, fading into the background with distance.
 
     Vehicles with outcomes have their colours instead. Buildings are left out: they would stand before the vehicle.
@@ -357,7 +364,7 @@ def add_scene(plotter: Plotter, scene: Scene, outcomes: Sequence[str] | None = N
     from warpav.raster.mesh import merge
 
     if outcomes is not None:
-        add_outcomes(plotter, scene, outcomes, legend=legend)
+        add_outcomes(plotter, scene, outcomes, legend=legend, colours=colours)
         scene = dataclasses.replace(scene, vehicles=())
     low, high = scene.ego.bounds_m().astype(np.float64)
     middle = (low[:2] + high[:2]) / 2

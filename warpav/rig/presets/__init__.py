@@ -18,6 +18,7 @@ HIGHEST = "highest"
 """The name of the thesis's baseline, cameras around the highest point; it needs a vehicle to stand on."""
 
 _FOLDER = Path(__file__).parent
+_MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae", ".off", ".step", ".stp")
 
 _BODIES = {
     # length, width without mirrors, height and wheelbase, as the vehicles' makers state them
@@ -103,6 +104,8 @@ def find_rig_file(source: str) -> Path:
     """The file of a rig YAML or a preset."""
     file = Path(source).expanduser()
     if file.is_file():
+        if file.suffix.lower() in _MESHES:
+            raise InputError(f"{source}: rig: expected a rig YAML, got a mesh; give a vehicle as scenes.ego={source}")
         return file
     names = preset_names()
     if source in names:

@@ -14,7 +14,8 @@ from warpav.core.frames import wrap_angle_rad
 from warpav.core.table import Table
 from warpav.optimisation import ANGLES, REDUNDANT_WITHIN_M, Difference, Margin, ObjectOutcome
 from warpav.rig import Rig
-from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, Robust, heading_of
+from warpav.runs._drawn_run import heading_of
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, Robust
 from warpav.runs.report._content import RunContent
 from warpav.sight import SECTORS, RuleMargin
 

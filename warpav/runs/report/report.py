@@ -22,8 +22,9 @@ from warpav.core.files import atomic_write, writing
 from warpav.core.table import Table
 from warpav.optimisation import ObjectOutcome
 from warpav.rig import Rig
+from warpav.runs._drawn_run import heading_of
 from warpav.runs._mounts import has_zones
-from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation, heading_of
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation
 from warpav.runs._run_folder import RunFolder
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import _statements as words

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import shlex
 
 from warpav.core.errors import one_line
 from warpav.core.table import Table
-from warpav.runs._rig_evaluation import heading_of
+from warpav.runs._drawn_run import heading_of
 from warpav.runs._terminal import Group, Terminal, drawn, shown
 from warpav.runs.report._content import RunContent
 from warpav.runs.report._statements import (
@@ -37,7 +38,7 @@ def show_run(console: Terminal, run: RunContent) -> None:
     evaluation = run.evaluation
     assert evaluation is not None
     _show(console, headline(run))
-    for line in str(_compared(run)).splitlines():
+    for line in str(comparison_table(run)).splitlines():
         console.print(shown(line))
     (name, rig), _ = rigs_of_run(run)
     if rig is not None:
@@ -58,7 +59,7 @@ def show_run(console: Terminal, run: RunContent) -> None:
         _show(console, statement, before="! ")
 
 
-def _compared(run: RunContent) -> Table:
+def comparison_table(run: RunContent) -> Table:
     """What rigs miss, and what they do not see near the vehicle; last, how many fewer than the start."""
     evaluation = run.evaluation
     assert evaluation is not None
@@ -86,6 +87,7 @@ def _compared(run: RunContent) -> Table:
 
 def next_commands(run: RunContent, folder: str) -> list[str]:
     """What to do with a run, and after it."""
+    folder = shlex.quote(folder)
     if run.evaluation is None:
         return [f"warpav optimise --resume {folder}", f"warpav evaluate {folder}"]
     scenes = None if run.config is None else run.config.scenes

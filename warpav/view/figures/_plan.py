@@ -12,7 +12,7 @@ import numpy as np
 from warpav.sight import CAR_HEIGHT_M, PIXELS, VisibleGround, px_per_degree, size_ranges_m
 from warpav.view._labels import Labels
 from warpav.view._outlines import fan_outlines_m
-from warpav.view._palette import COVERAGE_RGB, GROUND_RGB, camera_rgb, hex_colour
+from warpav.view._palette import COVERAGE_RGB, GROUND_RGB, NOT_ALONE_RGB, alone, camera_rgb, hex_colour
 from warpav.view.figures._from_above import (
     RINGS,
     camera_handles,
@@ -129,17 +129,16 @@ def found_alone_figure(rigs: Mapping[str, Rig], ego: Mesh, place_m: Mapping[str,
     colours = {name: hex_colour(camera_rgb(k)) for k, name in enumerate(rigs)}
     far_m = max(reach_m, *(float(np.abs(each - middle_of(ego)).max(initial=0.0)) + 3.0 for each in place_m.values()))
     grounds = [VisibleGround.of(rig, ego, margin_m=reach_m) for rig in rigs.values()]
-    seen = np.stack([each.seen > 0 for each in grounds])
-    alone = np.where(seen.sum(axis=0) == 1, seen.argmax(axis=0), np.where(seen.any(axis=0), len(rigs), len(rigs) + 1))
-    shades = {"seen by two or more": hex_colour((224, 234, 244)), "seen by none": hex_colour((150, 150, 150))}
+    seen_by = alone(np.stack([each.seen > 0 for each in grounds]))
+    shades = dict(zip(("seen by two or more", "seen by none"), map(hex_colour, NOT_ALONE_RGB), strict=True))
     keys = {"Seen, or found, by one alone": colours, "Other ground": shades}
     with panels_with_key(2, 2, panel_inch=4.65, key_lines=4, text=RINGS, heading=None) as (_, panels, key):
         for axis, far, name in zip(panels, (reach_m, far_m), ("Level ground", "Road users"), strict=True):
             draw_surroundings(axis, ego, reach_m=far)
             title(axis, f"{name} {'seen' if axis is panels[0] else 'found'} by one alone")
-        alone[grounds[0].is_body] = len(rigs) + 2
-        _paint(panels[0], grounds[0], alone, [*colours.values(), *shades.values(), "white"])
-        area_m2 = [grounds[0].area_m2(alone == k) for k in range(len(rigs))]
+        seen_by[grounds[0].is_body] = len(rigs) + 2
+        _paint(panels[0], grounds[0], seen_by, [*colours.values(), *shades.values(), "white"])
+        area_m2 = [grounds[0].area_m2(seen_by == k) for k in range(len(rigs))]
         panels[0].set_xlabel(", ".join(f"{name} {area:.1f} m²" for name, area in zip(rigs, area_m2, strict=True)))
         for name, each in place_m.items():
             panels[1].scatter(
