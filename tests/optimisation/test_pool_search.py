@@ -48,6 +48,7 @@ COSTS = pytest.mark.parametrize("cost", [0.0, 0.5], ids=["misses", "false alarms
 
 def value(found, cost):
     """The expected miss rate, and so much for each p (1 - p)."""
+    found = np.asarray(found, np.float64)
     return np.prod(1.0 - found, axis=0).mean() + cost * (found * (1.0 - found)).sum() / found.shape[1]
 
 

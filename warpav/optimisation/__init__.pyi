@@ -46,10 +46,10 @@ from warpav.optimisation._pool_cache import rows_of as rows_of
 from warpav.optimisation._pool_cache import write_arrays as write_arrays
 from warpav.optimisation._pool_rules import PoolRules as PoolRules
 from warpav.optimisation._pool_run import PoolRun as PoolRun
+from warpav.optimisation._pool_run import polish_start as polish_start
 from warpav.optimisation._pool_run import workshop_rig as workshop_rig
 from warpav.optimisation._pool_search import PoolSearchSettings as PoolSearchSettings
 from warpav.optimisation._pool_search import PoolTask as PoolTask
-from warpav.optimisation._pool_search import polish_start as polish_start
 from warpav.optimisation._records import Candidate as Candidate
 from warpav.optimisation._records import IterationRecord as IterationRecord
 from warpav.optimisation._records import NotFiniteError as NotFiniteError

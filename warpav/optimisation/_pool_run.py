@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,13 @@ from warpav.optimisation._further_camera import FurtherCameras, further_cameras
 from warpav.optimisation._hand_rigs import HandRig
 from warpav.optimisation._mount import LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, mirror_image
 from warpav.optimisation._mount_errors import COLUMNS
+from warpav.optimisation._polish import PolishSteps, PolishTask, nearest_rig, polish
 from warpav.optimisation._pool import CameraPool, Drawing
 from warpav.optimisation._pool_cache import rows_of
-from warpav.optimisation._pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
+from warpav.optimisation._pool_search import WHOLE_POLISH, Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation._records import Candidate, IterationRecord, named_part, part_of, rig_fields
 from warpav.optimisation._replacements import within_half_a_turn
+from warpav.optimisation._tangent_model import HardPoints
 from warpav.optimisation.selection._relaxation import Price
 from warpav.rig import Rig, RigCamera
 
@@ -395,3 +398,26 @@ def roundings(pose: np.ndarray, mount: CameraMount, fits: Callable[[np.ndarray],
         if found.tobytes() not in known and fits(found):
             yield found[0]
         known.add(found.tobytes())
+
+
+def polish_start(task: PoolTask) -> Iterator[tuple[float, np.ndarray]]:
+    """Polish the start of a task, without requirements; rules of cameras and pairs are kept if the start keeps them.
+
+    Gives the share of the steps that are taken, and the mount poses of the best rig so far, float32 [camera, 7].
+    """
+    cameras, rules, constraints = task.cameras, task.rules, task.constraints.of_any_modules
+    assert task.start is not None
+    start = nearest_rig(task.start, cameras.mount, constraints)
+    if rules is not None and not rules.keeps(start, frozen=np.zeros(len(start), bool)):
+        rules = None
+    kept = {}
+    if rules is not None:
+        kept["hard_points"] = HardPoints(rules.margins, rules.needed)
+        kept["pair_edges"] = rules.pair_edges
+        kept["is_allowed"] = lambda pose, _: rules.keeps(pose, frozen=np.zeros(len(pose), bool))
+    weights = {"weight": task.object_weight, "charge": task.charge}
+    wanted = PolishTask(cameras.mount, constraints, len(task.scenes), **weights, **kept)
+    count, radius = WHOLE_POLISH
+    detect = partial(cameras.with_jacobian, scenes=task.scenes)
+    for taken, step in enumerate(polish(start, detect, wanted, PolishSteps(count, radius))):
+        yield taken / count, step.mount_pose

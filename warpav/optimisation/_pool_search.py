@@ -26,14 +26,14 @@ from warpav.detection import SUREST, expected_miss_rate, false_alarm_cost, share
 from warpav.optimisation._camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation._constraints import Constraints, too_near
 from warpav.optimisation._hand_rigs import HandRig, by_hand
-from warpav.optimisation._mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation._mount import MOUNT_POSE_SIZE, X_M, Y_M
 from warpav.optimisation._mount_errors import MountErrors
 from warpav.optimisation._objective import RigObjective, single_cameras_of
 from warpav.optimisation._polish import Detected, PolishSteps, PolishTask, nearest_rig, polish, step_unit
 from warpav.optimisation._pool import SLOPE_COST, CameraPool, Drawing, Pace, spread_mount_poses
 from warpav.optimisation._pool_cache import rows_of
 from warpav.optimisation._pool_rules import PoolRules
-from warpav.optimisation._replacements import Replacements, apart, within_half_a_turn
+from warpav.optimisation._replacements import Assembly, Replacements, apart
 from warpav.optimisation._required_points import RequiredPoints
 from warpav.optimisation._rig_limits import RigLimits
 from warpav.optimisation._single_cameras import MisplacedCameras, SingleCameras, hard_points
@@ -55,7 +55,7 @@ _PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
 _FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (10, 1.0), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
-_WHOLE_POLISH = (40, 1.0)  # of a rig by hand where there is no pool
+WHOLE_POLISH = (40, 1.0)  # of a rig by hand where there is no pool
 _BEHIND_MAX = 0.01  # how far behind the best a polish may be, relatively, after half of its steps
 _GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
@@ -70,7 +70,6 @@ _PRICE, _LOOSER_GAP_PRICE = 0.01, 0.0025
 _POLISHED_BY_HAND = 3
 """Rigs by hand that are polished."""
 _SAME = 1e-6  # the polish and the pool round differently
-_OTHER_MODULE = 1e6  # farther than any camera of the same module
 _TOLD = {
     "select": "selecting",
     "select_and_polish": "selecting",
@@ -156,9 +155,10 @@ class PoolTask:
     @property
     def whole_charge(self) -> np.ndarray | None:
         """The charge beside `whole_weight`, and nothing for the requirements' points, float64 [object]."""
-        if self.charge is None or self.requirements is None:
+        points, weight = self.requirements, self.whole_weight
+        if self.charge is None or points is None or weight is None:
             return self.charge
-        return np.pad(self.charge, (0, self.requirements.vehicle_count)) / self.whole_weight.sum()
+        return np.pad(self.charge, (0, points.vehicle_count)) / weight.sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class PoolSearch:
         self.rules, self._rule_rows = task.rules, list[str]()
         self.hand_rigs = list[HandRig]()
         self.object_weight, self.charge, self.robust = task.whole_weight, task.whole_charge, task.robust
-        self.assembly = _Assembly(self.cameras.mount)
+        self.assembly = Assembly(self.cameras.mount)
         # the cameras that it knows
         self.pool = CameraPool.empty(self.scenes, self.cameras, drawing) if pool is None else pool
         self.rig: np.ndarray | None = None
@@ -345,7 +345,7 @@ class PoolSearch:
             yield from self._offered(start, first)
         self._todo = [("improve", by_hand[:_POLISHED_BY_HAND])]
         if not self.settings.selects:
-            self._todo = [*(("polish", rig, *_WHOLE_POLISH) for rig in by_hand), ("note",), ("settle",)]
+            self._todo = [*(("polish", rig, *WHOLE_POLISH) for rig in by_hand), ("note",), ("settle",)]
 
     def _offered(self, start: np.ndarray, rows: np.ndarray) -> Iterator[Found]:
         """The start as the first rig, where it keeps what rigs must keep, unless there is one already."""
@@ -797,66 +797,6 @@ class PoolSearch:
             rigs, value = exchange_robust(problem, first, self.robust, self._sizes(pool.mount_pose[around]))
         self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.rig), float(value[0]))
         yield self._found("polish")
-
-
-def polish_start(task: PoolTask) -> Iterator[tuple[float, np.ndarray]]:
-    """Polish the start of a task, without requirements; rules of cameras and pairs are kept if the start keeps them.
-
-    Gives the share of the steps that are taken, and the mount poses of the best rig so far, float32 [camera, 7].
-    """
-    cameras, rules, constraints = task.cameras, task.rules, task.constraints.of_any_modules
-    assert task.start is not None
-    start = nearest_rig(task.start, cameras.mount, constraints)
-    if rules is not None and not rules.keeps(start, frozen=np.zeros(len(start), bool)):
-        rules = None
-    kept = {}
-    if rules is not None:
-        kept["hard_points"] = HardPoints(rules.margins, rules.needed)
-        kept["pair_edges"] = rules.pair_edges
-        kept["is_allowed"] = lambda pose, _: rules.keeps(pose, frozen=np.zeros(len(pose), bool))
-    weights = {"weight": task.object_weight, "charge": task.charge}
-    wanted = PolishTask(cameras.mount, constraints, len(task.scenes), **weights, **kept)
-    count, radius = _WHOLE_POLISH
-    detect = partial(cameras.with_jacobian, scenes=task.scenes)
-    for taken, step in enumerate(polish(start, detect, wanted, PolishSteps(count, radius))):
-        yield taken / count, step.mount_pose
-
-
-class _Assembly:
-    """Rigs of a mount, some of whose cameras may be frozen: their own come first in a pool, and keep their places."""
-
-    def __init__(self, mount: CameraMount) -> None:
-        self.mount, frozen = mount, mount.frozen
-        self.is_frozen = np.zeros(0, bool) if frozen is None else frozen.is_frozen
-        self.frozen = (
-            np.zeros((0, 7), np.float32) if frozen is None else frozen.mount_pose[frozen.is_frozen].astype(np.float32)
-        )
-
-    def in_order(self, rig: np.ndarray) -> np.ndarray:
-        """The cameras of a rig, the frozen ones first, as `rig` takes them."""
-        return np.concatenate([self.frozen, rig[~self.is_held(len(rig))]])
-
-    def rig(self, pose: np.ndarray, *, like: np.ndarray | None = None) -> np.ndarray:
-        """The rig of chosen cameras, the frozen ones first, in the order of those of ``like`` that are nearest."""
-        is_held = self.is_held(len(pose))
-        result = np.empty((len(pose), 7), np.float32)
-        count = len(self.frozen)
-        result[is_held], free = pose[:count], pose[count:]
-        if like is not None and len(like) == len(pose):
-            from scipy.optimize import linear_sum_assignment
-
-            module, other = (self.mount.module_of(each) for each in (like[~is_held], free))
-            difference = within_half_a_turn(like[~is_held][:, None].astype(np.float64) - free[None])
-            far = np.linalg.norm(difference[..., [X_M, Y_M, YAW_RAD]], axis=-1)  # in place [m] and direction [rad]
-            _, order = linear_sum_assignment(far + _OTHER_MODULE * (module[:, None] != other))
-            free = free[order]
-        elif self.mount.is_mixed:
-            free = free[np.argsort(self.mount.module_of(free), kind="stable")]
-        result[~is_held] = free
-        return result
-
-    def is_held(self, count: int) -> np.ndarray:
-        return self.is_frozen if len(self.is_frozen) else np.zeros(count, bool)
 
 
 def _with_absent(detection_probability: np.ndarray, absent: int) -> np.ndarray:

@@ -14,13 +14,14 @@ import numpy as np
 
 from warpav.detection import SUREST, false_alarm_cost
 from warpav.optimisation._camera_loss import SOFTNESS, RobustObjective
-from warpav.optimisation._mount import YAW_RAD
+from warpav.optimisation._mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation._pool import CameraPool
 
 _ELITE = 12
 """Cameras nearby that say in which directions to look, the best ones."""
 _FLOOR = 0.1
 """Standard deviation that is added in every direction, in radii."""
+_OTHER_MODULE = 1e6  # farther than any camera of the same module
 
 
 class Replacements:
@@ -128,3 +129,40 @@ def apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:
         if (np.abs(difference) / scale).max(axis=1).min() > 1.0:
             chosen = np.concatenate([chosen, pose[None]])
     return chosen
+
+
+class Assembly:
+    """Rigs of a mount, some of whose cameras may be frozen: their own come first in a pool, and keep their places."""
+
+    def __init__(self, mount: CameraMount) -> None:
+        self.mount, frozen = mount, mount.frozen
+        self.is_frozen = np.zeros(0, bool) if frozen is None else frozen.is_frozen
+        self.frozen = (
+            np.zeros((0, 7), np.float32) if frozen is None else frozen.mount_pose[frozen.is_frozen].astype(np.float32)
+        )
+
+    def in_order(self, rig: np.ndarray) -> np.ndarray:
+        """The cameras of a rig, the frozen ones first, as `rig` takes them."""
+        return np.concatenate([self.frozen, rig[~self.is_held(len(rig))]])
+
+    def rig(self, pose: np.ndarray, *, like: np.ndarray | None = None) -> np.ndarray:
+        """The rig of chosen cameras, the frozen ones first, in the order of those of ``like`` that are nearest."""
+        is_held = self.is_held(len(pose))
+        result = np.empty((len(pose), 7), np.float32)
+        count = len(self.frozen)
+        result[is_held], free = pose[:count], pose[count:]
+        if like is not None and len(like) == len(pose):
+            from scipy.optimize import linear_sum_assignment
+
+            module, other = (self.mount.module_of(each) for each in (like[~is_held], free))
+            difference = within_half_a_turn(like[~is_held][:, None].astype(np.float64) - free[None])
+            far = np.linalg.norm(difference[..., [X_M, Y_M, YAW_RAD]], axis=-1)  # in place [m] and direction [rad]
+            _, order = linear_sum_assignment(far + _OTHER_MODULE * (module[:, None] != other))
+            free = free[order]
+        elif self.mount.is_mixed:
+            free = free[np.argsort(self.mount.module_of(free), kind="stable")]
+        result[~is_held] = free
+        return result
+
+    def is_held(self, count: int) -> np.ndarray:
+        return self.is_frozen if len(self.is_frozen) else np.zeros(count, bool)
