@@ -51,7 +51,7 @@ def test_everything_that_can_be_said_is_read(tmp_path):
 
 
 def test_every_template_is_read_and_says_what_it_is():
-    assert template_names() == ["near_field", "near_robot", "r158_like", "r159_like", "r46_like"]
+    assert template_names() == ["near_field", "near_robot", "near_series", "r158_like", "r159_like", "r46_like"]
     for name in template_names():
         found = read_requirements(name)
         assert found

@@ -158,7 +158,7 @@ def _rig_requirements(
     /,
     *overrides: Overrides,
     requirements: Annotated[
-        str, Parameter(help="YAML file, or a template: near_field, near_robot, r46_like, r158_like, r159_like.")
+        str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")
     ] = "near_field",
     json: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
     image: Annotated[Path | None, Parameter(help="PNG to draw the ground into, seen from above.")] = None,

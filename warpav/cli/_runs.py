@@ -172,7 +172,7 @@ def check(
     /,
     *overrides: Overrides,
     requirements: Annotated[
-        str, Parameter(help="YAML file, or a template: near_field, near_robot, r46_like, r158_like, r159_like.")
+        str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")
     ] = "near_field",
     out: Annotated[Path, Parameter(help="HTML file to write.")] = Path("check.html"),
     config: RigConfig = None,
