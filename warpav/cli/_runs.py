@@ -294,7 +294,7 @@ def view(
         elif out is not None:
             say(f"wrote {write_inspector_page(shown, settings, out, scene=scene)}")
         else:
-            gc.disable()  # until the address is told: what is made up to there stays
+            gc.disable()  # until the address is printed: what is made up to there stays
             try:
                 serve_inspector(shown, settings, scene=scene, port=port, ready=_say_address)
             finally:

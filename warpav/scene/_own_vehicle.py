@@ -497,7 +497,7 @@ class _Findings:
         self._problem(text, remedy)
         if "forward" in remedy and not shape.has_mirrors:
             other = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
-            why = "the front is told by the cabin, which pickups and lorries have nearer to it"
+            why = "the front is guessed from the cabin, which pickups and lorries have nearer to it"
             why = why if shape.is_forward_sure else "front and rear look alike"
             self.hints.append(f"{why}: if the image shows it backwards, give `forward` {other} instead")
 
