@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from warpav.core.cache import digest
+from warpav.core.cache import digest, user_cache_folder
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json, write_text
@@ -36,6 +36,8 @@ from warpav.experiments._rows import OWN_JUDGE, ROWS, rows_of, table_of, write_r
 from warpav.experiments._study import GRADIENTS, Judge, Study
 from warpav.optimisation import (
     AssignedScene,
+    Drawing,
+    attainable_objects,
     highest_mount_pose,
     metrics_of,
     observe_scenes,
@@ -219,10 +221,19 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
     tested: dict[str, Any]
+    attainable = None
+    if evaluation.limits is not None:
+        attainable = attainable_objects(
+            evaluation.objective, evaluation.test, drawing=Drawing(cache=user_cache_folder("pools"))
+        )
     if task.judge != "objective":
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
         rate = found.notes.get("false_alarms_per_image")
-        tested = {"metrics": metrics_of(seen, evaluation.objective, false_alarms_per_image=rate).to_json()}
+        tested = {
+            "metrics": metrics_of(
+                seen, evaluation.objective, attainable=attainable, false_alarms_per_image=rate
+            ).to_json()
+        }
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
@@ -241,7 +252,10 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
     write_rig(found.rig, rig_file)
     return {
         **tested,
-        "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
+        "objects_of_scene": [
+            assigned.scene.vehicle_count if attainable is None else int(attainable[k].sum())
+            for k, assigned in enumerate(evaluation.test)
+        ],
         "method": task.arm.method,
         "overrides": list(task.arm.overrides),
         "search_overrides": list(task.arm.search_overrides),

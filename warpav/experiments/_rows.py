@@ -38,10 +38,11 @@ _COLUMNS = (
     *("map50_average", "map50_min_camera", "map50_max_camera", "detection_rate", "in_frame_rate", "confidence"),
     *("constraint_violation_m", "constraint_loss", "min_camera_distance_m", "camera_renders", "search_seconds"),
     *("positional", "rotational", "of", "reference", "more", "low", "high", "cost", "required_share"),
+    "attainable_misses_per_100",
 )
 _METRICS = {
     **{name: name for name in _COLUMNS if name.startswith("map50_")},
-    **{name: name for name in ("misses_per_100", "misses_at_equal_false_alarms")},
+    **{name: name for name in ("misses_per_100", "misses_at_equal_false_alarms", "attainable_misses_per_100")},
     "false_alarms_per_frame": "false_alarms_per_image",
     "ap50_pooled": "ap50",
     "tp_detection_rate": "detection_rate",
@@ -64,8 +65,8 @@ _ARM_COLUMNS = {
     "renders": ("camera_renders", 1.0, 0),
     "search [s]": ("search_seconds", 1.0, 1),
 }
-_COMPARED = {"misses_at_equal_false_alarms": 1.0, "objective": 100.0}
-"""What is compared with the reference, per 100 road users: the detector's misses where there are any."""
+_COMPARED = {"attainable_misses_per_100": 1.0, "misses_at_equal_false_alarms": 1.0, "objective": 100.0}
+"""What is compared with the reference, per 100 road users: the first that there is."""
 _MISSED = "misses_at_equal_false_alarms"
 _BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built"}
 _PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
@@ -300,12 +301,18 @@ def _costs(rows: Sequence[_Row], of: str = "at_cost", judge: str = OWN_JUDGE) ->
         costs, missed, seen = (" / ".join(each) for each in cells)
         fewer = [_difference(rows, study, judge, arm) for arm in ("as_built", "by_hand")]
         lines.append([name, costs, missed, *fewer, seen])
-    heads = ["layout, traffic", "cost", "missed per 100", "fewer than as built [95 %]", "fewer than by hand [95 %]"]
+    heads = [
+        "layout, traffic",
+        "cost",
+        "missed of 100 attainable",
+        "fewer than as built [95 %]",
+        "fewer than by hand [95 %]",
+    ]
     return Table.of([*heads, "near field seen [%]"], lines, "Three numbers: as built / by hand / warpav.")
 
 
 _AT_COST = ("as_built", "by_hand", "default")
-_COST_COLUMNS = (("cost", 1.0, 1), (_MISSED, 1.0, 1), ("required_share", 100.0, 0))
+_COST_COLUMNS = (("cost", 1.0, 1), ("attainable_misses_per_100", 1.0, 1), ("required_share", 100.0, 0))
 
 
 def _networks(rows: Sequence[_Row]) -> Table:
