@@ -156,6 +156,14 @@ def test_check_fails_a_rig_whose_images_have_no_horizon(pitch_deg, status, worki
     assert ("FAIL" in row, "pass" in row) == (status == 1, status == 0)
     assert status == 1 or ("50% (front)" in row and "+40%" in row)
     assert ("FAIL Horizon" in capsys.readouterr().out) == (status == 1)
+    Path("one.yaml").write_text(yaml.safe_dump({"frame": "ego", "cameras": [camera | {"position_m": [1.2, 0.0, 0.9]}]}))
+    assert main(["check", "one.yaml", "--out", "check.html"]) == 1
+    said, row = (
+        capsys.readouterr().out,
+        re.search(r"<tr>(?:(?!</tr>).)*on the body.*?</tr>", Path("check.html").read_text(), re.DOTALL)[0],
+    )
+    assert re.search(r"FAIL Cameras on the body: 0\.\d\d m inside \(front\), asked at most 0\.5 m off the skin", said)
+    assert re.search(r"-0\.\d\d m", row)
     assert main(["check", "one.yaml", "--requirements", "nothing", "--out", "no.html"]) == 2
     assert not Path("no.html").exists()
 

@@ -14,9 +14,11 @@ from warpav.rig._catalogue import read_modules as read_modules
 from warpav.rig._chart import chart_of as chart_of
 from warpav.rig._chart import propose_zones as propose_zones
 from warpav.rig._chart import with_middles as with_middles
+from warpav.rig._check import OFF_SKIN_M as OFF_SKIN_M
 from warpav.rig._check import description as description
 from warpav.rig._check import mirrored_cameras as mirrored_cameras
 from warpav.rig._check import oddities as oddities
+from warpav.rig._check import off_skin_m as off_skin_m
 from warpav.rig._check import off_vehicle as off_vehicle
 from warpav.rig._module import PLAIN as PLAIN
 from warpav.rig._module import PLAIN_HOUSING as PLAIN_HOUSING

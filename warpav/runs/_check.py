@@ -15,7 +15,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import checked_device
 from warpav.optimisation import DetectionRange
 from warpav.raster.mesh import Mesh
-from warpav.rig import Rig
+from warpav.rig import OFF_SKIN_M, Rig, off_skin_m
 from warpav.runs._evaluate import limits_for
 from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
@@ -73,6 +73,7 @@ def check_rig_page(source: str, config: Config, *, requirements: str, out: Path)
     limits = limits_for(source, config)
     items = [
         *_required(met),
+        _on_body(rig, ego),
         *rule_items(rig, ego, limits, device, wanted=config.rules.limits),
         *_seen(rig, ego, checks, device),
     ]
@@ -98,6 +99,16 @@ def _required(met: RequirementResult) -> Iterator[Item]:
             None if asked is None else each.is_met,
             each.requirement.is_hard,
         )
+
+
+def _on_body(rig: Rig, ego: Mesh) -> Item:
+    """The camera that is deepest in the body or, where none is in it, farthest off the skin."""
+    off_m = off_skin_m(rig, ego)
+    spare_m = np.where(off_m < 0.0, off_m, OFF_SKIN_M - off_m)
+    k = int(spare_m.argmin())
+    found = f"{abs(off_m[k]):.2f} m {'inside' if off_m[k] < 0.0 else 'off'} ({rig.cameras[k].name})"
+    asked = f"at most {OFF_SKIN_M:g} m off the skin, none inside"
+    return Item("Cameras on the body", asked, found, f"{spare_m[k]:+.2f} m", bool(spare_m[k] >= 0.0), True)
 
 
 def rule_items(rig: Rig, ego: Mesh, limits: Rules, device: str, *, wanted: Rules | None = None) -> Iterator[Item]:
