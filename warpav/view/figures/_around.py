@@ -244,12 +244,13 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
                     style = {"marker": marker, "edgecolors": ink, "linewidths": 0.3, "zorder": order}
                     axis.scatter(*ghosts.position_m[shown, 1::-1].T, s=size[shown], c=hex_colour(rgb), **style)
         draw_cameras(axis, rig, sector_radius_m=0.7)
+        mark_cameras(axis, rig.cameras)
         dot = {"linestyle": "", "markersize": 8, "markeredgecolor": ink, "markeredgewidth": 0.4}
         named = zip(COVERAGE_WORDS, COVERAGE_RGB, strict=True)
         handles = [Line2D([], [], marker="o", color=hex_colour(rgb), label=text, **dot) for text, rgb in named]
         handles.append(Line2D([], [], marker="X", color=grey, label="not met", **dot))
         figure.legend(handles=handles, loc="outside lower center", ncols=6)
-        figure.get_layout_engine().set(h_pad=0.1)
+        figure.get_layout_engine().set(h_pad=0.1, rect=(0.0, 0.0, 1.0, 0.99))
         names = ", ".join(each.name for each in ghosts.requirements)
         names = names if len(names) <= 60 else f"{len(ghosts.requirements)} requirements"
         title(axis, names, f"{float(is_met.mean()):.1%} of points")

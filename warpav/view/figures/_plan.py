@@ -238,13 +238,13 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
         for index, (name, found) in enumerate(best.items()):
             line = np.where(found[horizon] > 0.0, found[horizon], np.nan)
             gap_deg = 360.0 * float((found[horizon] == 0.0).mean())
-            label = f"{name}: mean {np.nanmean(line):.1f}, no image on {gap_deg:.0f}°"
+            label = f"{name}: mean {np.nanmean(line):.1f}, {gap_deg:.0f}° in no image"
             axes[0].plot(azimuth_deg, line, color=hex_colour(camera_rgb(index)), label=label)
         axes[0].set(
             ylim=(0.0, 1.1 * max(float(each[horizon].max()) for each in best.values()) or 1.0),
             ylabel="pixels per degree",
         )
-        axes[0].legend(loc="lower right", ncols=min(2, len(rigs)))
+        axes[0].legend(loc="best", ncols=min(2, len(rigs)))
         title(axes[0], "Along the horizon, best camera")
         image = None
         for axis, (name, found) in zip(axes[1:], best.items(), strict=True):
