@@ -302,7 +302,6 @@ def view(
 
 
 def _rigs_and_overrides(rig: str, further: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Words of a command line: rigs, and the overrides among them."""
     return [rig, *(each for each in further if "=" not in each)], [each for each in further if "=" in each]
 
 

@@ -165,7 +165,6 @@ def _tolerated(rig: Rig, ego: Mesh, limits: Rules, checks: Checks, device: str) 
 
 
 def _seen(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
-    """Traffic lights, redundancy, and the loss of the camera that costs most."""
     front_m = float(np.asarray(ego.bounds_m())[1, 0])
     light_m = _LIGHT_M + np.array([front_m, Body.of(ego).centre_m[1], 0.0])
     share = float(sight(rig, light_m, level_ground(ego, device=device)).seen.any(axis=0).mean())
@@ -183,7 +182,6 @@ def _seen(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
 
 
 def _far(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
-    """How far ahead the cameras find road users of each class."""
     cameras, is_hard = [each for each in rig.cameras if each.model.beams is None], "far_m" in checks.hard
     try:
         if not cameras:

@@ -87,7 +87,6 @@ def _description(detector: OnnxDetector) -> Iterator[str]:
 
 
 def _timings(detector: OnnxDetector) -> Iterator[str]:
-    """Time of an image, packing, network, boxes and suppression included."""
     rng = np.random.default_rng(0)
     own_px = detector.file.size_px or (_OWN_SIZE_PX, _OWN_SIZE_PX)
     for height_px, width_px in dict.fromkeys(((_SMALL_PX, _SMALL_PX), own_px)):
@@ -118,7 +117,6 @@ def _list(found: Detections, confidence_min: float) -> Iterator[str]:
 
 
 def _read_image(file: Path) -> np.ndarray:
-    """An image, uint8 [row, column, 3]."""
     import cv2
 
     try:
@@ -135,7 +133,6 @@ def _read_image(file: Path) -> np.ndarray:
 
 
 def _draw(image_rgb: np.ndarray, found: Detections, target: Path) -> None:
-    """Write a copy of an image with boxes and labels."""
     import cv2
 
     drawn = image_rgb.copy()

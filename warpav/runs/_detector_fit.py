@@ -540,8 +540,6 @@ def _estimates(
 
 
 def _cells(found: _FitScores) -> list[str]:
-    """Its line of the table."""
-
     def text(number: Estimate) -> str:
         interval = "" if number.low is None else f" [{number.low:.3f}, {number.high:.3f}]"
         return f"{number.value:.3f}{interval}"
@@ -563,7 +561,6 @@ def _cells(found: _FitScores) -> list[str]:
 def _draw_reliability(
     scores: ProbabilityScores, probability: np.ndarray, is_detected: np.ndarray, stem: Path, name: str = ""
 ) -> None:
-    """Draw a reliability diagram to a file whose name begins so."""
     from warpav.view import reliability_diagram
 
     text = f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}"

@@ -87,7 +87,6 @@ def check_versions() -> Finding:
 
 
 def _check_devices() -> Finding:
-    """The devices that Warp sees."""
     wp = load_warp()
     names = {device.alias: device.name for device in wp.get_devices()}
     text = ", ".join(f"{alias} ({name})" for alias, name in names.items())
@@ -95,7 +94,6 @@ def _check_devices() -> Finding:
 
 
 def _check_cache() -> Finding:
-    """The folders in which Warp keeps compiled kernels, and warpav its scenes."""
     import tempfile
 
     from warpav.core.cache import user_cache_folder
@@ -169,7 +167,6 @@ def check_opengl() -> Finding:
 
 
 def _check_detector() -> Finding:
-    """Whether the shipped detector is there and answers."""
     import numpy as np
 
     from warpav.detection import OnnxDetector

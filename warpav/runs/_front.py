@@ -235,7 +235,6 @@ def _by_cost(placement: Placement) -> list[_Step]:
 def _searched(
     placement: Placement, steps: Sequence[_Step], progress: Progress, executor: Executor | None
 ) -> list[_FrontPoint]:
-    """The best rig of every step."""
     points: list[_FrontPoint] = []
     search: PoolRun | None = None
     for name, count, limits in progress.steps("rigs", steps, count=len(steps)):

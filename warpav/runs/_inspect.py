@@ -305,7 +305,6 @@ def write_inspector_page(
 
 
 def _modules(config: Config) -> tuple[Module, ...]:
-    """What cameras may be changed for: the modules of a run, or those of its catalogue."""
     from warpav.rig import BUILTIN, read_modules
 
     return rig_modules(config) or tuple(read_modules(config.rig.catalogue or BUILTIN).values())
@@ -322,7 +321,6 @@ def _check(requirements: str, config: Config) -> Callable[[Rig, Mesh], Requireme
 
 
 def _further(source: str, shown: str) -> FurtherCameras:
-    """What further cameras would add to the rig of a run."""
     found = RunFolder.open(source).further_cameras() if is_run_folder(source) else None
     if found is None:
         raise ArgumentError(

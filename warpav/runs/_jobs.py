@@ -223,7 +223,6 @@ def _run_to_the_end(
     timer: StageTimer,
     progress: Progress,
 ) -> tuple[Result, RunContent]:
-    """Take the steps that are left, compare, and complete the folder."""
     write_rig(optimisation.start, folder.rig_path("initial"))
     with _kept_when_stopped(folder, optimisation, progress):
         optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
@@ -277,7 +276,6 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
 
 
 def _write_rigs(folder: RunFolder, optimisation: Optimisation, roles: Sequence[Literal["best", "final"]]) -> None:
-    """Write the best rig so far, and the last one."""
     descent = optimisation.descent
     for role in roles:
         pose = descent.best.mount_pose if role == "best" else descent.mount_pose
@@ -285,7 +283,6 @@ def _write_rigs(folder: RunFolder, optimisation: Optimisation, roles: Sequence[L
 
 
 def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
-    """Write what a run that is stopped has beside its rigs."""
     descent, records = optimisation.descent, optimisation.records
     if descent.iteration != len(records):  # stopped between a step and its record: the last checkpoint stands
         return
@@ -410,7 +407,6 @@ def comparison_view(sources: Sequence[str], config: Config, *, progress: Progres
 
 
 def _side_by_side(sources: Sequence[str], config: Config, progress: Progress) -> tuple[RunContent, Placement]:
-    """Two or three rigs on the same test scenes."""
     if not 2 <= len(sources) <= 3 or len(set(sources)) < len(sources):
         raise InputError(f"command line: expected two or three different rigs, got {shlex.join(sources)}")
     names = arm_names(sources[0], sources[1:])

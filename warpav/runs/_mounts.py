@@ -63,7 +63,6 @@ def camera_model(config: Config) -> CameraModel:
 
 
 def _near_m(config: Config) -> float:
-    """What is nearer to a camera is not seen [m]."""
     near_m = config.camera.near_m
     is_flush = config.mount.zones is not None or config.rig.modules is not None
     return min(near_m, _FLUSH_NEAR_M) if is_flush else near_m
@@ -263,7 +262,6 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
 
 
 def _top_zones(config: Config) -> tuple[Zone, ...]:
-    """Roof and bonnet as zones of plain cameras in pairs, and their middle."""
     height_m = config.rig.free.height_m or (config.rig.height_offset_m, config.rig.height_offset_m)
     top = Zone("top", NORMALS["up"], stand_off_m=height_m)
     ahead = dataclasses.replace(top, name="top_middle", is_centred=True)

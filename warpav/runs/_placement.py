@@ -662,7 +662,6 @@ def needed_fit(config: Config, progress: Progress) -> _DetectionProbabilities | 
 def _fitted(
     config: Config, progress: Progress, *, detector: Detector | None = None, ego: Mesh | None = None
 ) -> _DetectionProbabilities:
-    """The model of detection probability, or that of each module; arguments as of `ensure_fit`."""
     if config.rig.modules is None:
         return ensure_fit(config, detector=detector, ego=ego, progress=progress)
     config = fit_config(config, progress)  # once for all modules
@@ -675,7 +674,6 @@ def _fitted(
 
 
 def _needs_fit(config: Config, losses: Sequence[tuple[float, Loss]] | None = None) -> bool:
-    """Whether a loss needs the model of detection probability."""
     if losses is None:
         return config.losses.weights["expected_miss_rate"] > 0.0
     return any(loss.needs(LossSchedule()).detection_probability for _, loss in losses)
@@ -703,7 +701,6 @@ def _checked_start(config: Config, start: Rig | None, freeze: tuple[str, ...]) -
 
 
 def _checked_requirements(requirements: Sequence[Requirement], config: Config) -> tuple[Requirement, ...]:
-    """Requirements of an argument."""
     found = tuple(requirements)
     for each in found:
         if not isinstance(each, Requirement):
@@ -795,7 +792,6 @@ def _camera_probabilities(
 
 
 def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tuple[tuple[float, Loss], ...]:
-    """The losses of an argument, functions among them."""
     found = []
     for each in losses:
         if (

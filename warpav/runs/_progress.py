@@ -152,7 +152,6 @@ class RunDisplay:
 
     @property
     def _is_told(self) -> bool:
-        """Whether lines say what bars show elsewhere."""
         return self._verbose and not self.console.is_terminal
 
     def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:

@@ -461,7 +461,6 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
 
 
 def _best_of_random(placement: Placement, progress: Progress) -> Rig:
-    """The best of some random rigs on some training scenes."""
     config, mount = placement.config, placement.mount
     samples, rng = config.baselines.random_samples, placement.random_numbers(Stream.SEARCH)
     chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)

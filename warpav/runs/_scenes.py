@@ -155,7 +155,6 @@ def show_scene(source: str, out: Path | None, level: Level | None = None, fleet:
 
 
 def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:
-    """Report the outcome of every task, and the rejected ones once more at the end."""
     rejected: list[str] = []
     with RunDisplay() as display:
         for name, outcome in display.steps(title, outcomes, count=count):

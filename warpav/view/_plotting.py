@@ -212,7 +212,6 @@ def plot(
 def _split(
     options: Mapping[str, Any], kind: Kind, obj: object, *, is_file: bool
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The options of an object's class and those of ``pyvista.Plotter.show``."""
     takes = kind.options
     own = {name: value for name, value in options.items() if name in takes}
     of_show = {name: value for name, value in options.items() if name not in takes}
@@ -325,7 +324,6 @@ _GEOMETRIC = ("ground", "near_field")
 
 
 def _cameras_of(rig: Rig, kind: str) -> Rig:
-    """The rig without its LiDARs, which have no images."""
     cameras = [each for each in rig.cameras if each.model.beams is None]
     if not cameras:
         raise ArgumentError("rig", f"expected a rig with a camera for kind={kind!r}, got LiDARs alone; ask for points")
@@ -359,7 +357,6 @@ def _draw_points(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Sc
 
 
 def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
-    """One rig or several as several by name."""
     if isinstance(rig, Rig):
         return {"rig": rig}
     if not rig:
@@ -380,7 +377,6 @@ def _with_widths(rigs: Mapping[str, Rig]) -> dict[str, Rig]:
 
 
 def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:
-    """The vehicle that a plot asks for: the given one, else that of the scene."""
     vehicle = Picture(ego=ego, scene=scene).vehicle
     if vehicle is None:
         hint = "give ego=wa.read_vehicle(...) or scene=..."

@@ -115,7 +115,6 @@ def _choices(field: FieldInfo) -> list[object]:
 
 
 def _expected(field: FieldInfo) -> str:
-    """What a field expects, in words, from its type and its limits."""
     kinds, metadata, choices = _kinds(field), list(field.metadata), list(map(str, _choices(field)))
     optional = ", or null" if type(None) in kinds else ""
     annotation = kinds[0]

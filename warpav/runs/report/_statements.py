@@ -212,7 +212,6 @@ def _worse(evaluation: RigEvaluation) -> Statement | None:
 
 
 def _unexpected(evaluation: RigEvaluation) -> Statement | None:
-    """A detector that misses far more than the model expects."""
     outage, missed = evaluation.camera_outage.get(evaluation.first), evaluation.best.misses_per_100
     if outage is None or missed is None:
         return None
@@ -333,7 +332,6 @@ def why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _simpler(evaluation: RigEvaluation) -> Statement | None:
-    """In which numbers the rig may stay as it would be drawn by hand."""
     known, training = evaluation.simpler, evaluation.training_objective
     if known is None or training is None or training.optimised is None:
         return None
@@ -346,7 +344,6 @@ def _simpler(evaluation: RigEvaluation) -> Statement | None:
 
 
 def _search_scenes(run: RunContent) -> str:
-    """The scenes on which a run compares its rigs before it ends."""
     validation = run.config is not None and bool(run.config.scenes.validation_seeds)
     if run.certificate is not None:
         return "training and validation" if validation else "training"
@@ -399,7 +396,6 @@ def _robust_text(robust: Robust) -> str:
 
 
 def _mount_errors(robust: Robust) -> str:
-    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``."""
     parts = [] if robust.mount_error_m is None else [f"+-{100.0 * robust.mount_error_m:g} cm"]
     parts += [] if robust.mount_error_deg is None else [f"+-{robust.mount_error_deg:g} deg"]
     return " and ".join(parts)
@@ -410,7 +406,6 @@ _FURTHER_TERMS = {"false_alarms": "what false alarms cost", "requirements": "unm
 
 
 def _terms(run: RunContent) -> Collection[str]:
-    """What the search lowers."""
     return (run.events[-1].terms or {}) if run.events else ()
 
 
@@ -483,7 +478,6 @@ def _left(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _requirements(evaluation: RigEvaluation) -> Statement | None:
-    """Which requirements the rig that was found meets, and where not."""
     outcomes = evaluation.met.get(evaluation.first)
     if not outcomes:
         return None
@@ -573,7 +567,6 @@ def rule_table(evaluation: RigEvaluation, arms: Iterable[str | None] | None = No
 
 
 def _rules(evaluation: RigEvaluation) -> Statement | None:
-    """The design rules that the first rig keeps, or how far it breaks them; None where none is asked for."""
     table, margins = rule_table(evaluation), (evaluation.rules or {}).get(evaluation.first, ())
     if table is None:
         return None

@@ -88,14 +88,12 @@ def image_types(capture: Capture, path: Path | str) -> Path:
 
 
 def _show(axis: Any, rgb: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
-    """An image in its own proportions, at the top of its panel."""
     axis.imshow(rgb, interpolation="antialiased")
     axis.set_anchor("N")
     empty_panel(axis)
 
 
 def _pixels(image: CapturedImage, what: str, limits_m: tuple[float, float]) -> np.ndarray:
-    """An image of a capture as colours, uint8 [row, column, 3]."""
     if what == "depth":
         return depth_rgb(image.depth_m, limits_m)
     return instance_rgb(image.instance) if what == "instance" else image.rgb
@@ -166,8 +164,6 @@ def _instance_colour(instance_id: int) -> Rgb:
 
 
 def _telling_image(capture: Capture) -> CapturedImage:
-    """Of the images from the ego vehicle, or else of all, the one with most vehicles, then with most of them."""
-
     def value(image: CapturedImage) -> tuple[bool, int, int]:
         ids, count = np.unique(image.instance, return_counts=True)
         count = count[(ids != ENVIRONMENT_INSTANCE) & (ids != EGO_INSTANCE)]
@@ -203,7 +199,6 @@ def _depth_bar(figure: Any, axes: Any, limits_m: tuple[float, float], **style: A
 
 
 def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (matplotlib)
-    """A legend of the colours: those of vehicles as one swatch in stripes."""
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.patches import Patch
 

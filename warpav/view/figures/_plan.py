@@ -192,7 +192,6 @@ def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: flo
 
 
 def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> str:  # noqa: ANN401
-    """Paint the ground by what cameras see of it; says how much of it they do not."""
     state = np.select([ground.is_body, ground.is_shadow, ground.is_outside, ground.seen == 1], [0, 1, 2, 3], default=4)
     _paint(axis, ground, state, [hex_colour(rgb) for rgb in _GROUND_OF.values()])
     is_near = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1]) <= reach_m
@@ -201,7 +200,6 @@ def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m
 
 
 def _paint(axis: Any, ground: VisibleGround, state: np.ndarray, colours: Sequence[str]) -> None:  # noqa: ANN401
-    """Paint cells of the ground in the colours of their states, int [row, column]."""
     from matplotlib.colors import ListedColormap
 
     limits = axis.get_xlim(), axis.get_ylim()

@@ -131,12 +131,10 @@ def recall_figure(groupings: Mapping[str, Mapping[str, _Groups]], *, title: str)
 
 
 def _groups(tables: Mapping[str, _Groups]) -> list[str]:
-    """The names of the groups that hold objects."""
     return [name for name, group in next(iter(tables.values())).items() if group.objects]
 
 
 def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[list[Any], list[str]]:  # noqa: ANN401
-    """Draw recall by group; returns what a legend needs."""
     first, *others = tables
     groups = _groups(tables)
     colour = hex_colour(camera_rgb(0))
@@ -156,7 +154,6 @@ def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[
 
 
 def _wilson_interval(group: Any) -> tuple[float, float]:  # noqa: ANN401 (of `_Groups`)
-    """Wilson's 95 % interval of a share, as if every object were found or not by itself."""
     from scipy.stats import binomtest
 
     found = binomtest(group.detected, group.objects).proportion_ci(0.95, method="wilson")
