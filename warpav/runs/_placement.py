@@ -365,20 +365,17 @@ class Placement:
             progress = progress or NullProgress()
             parts = self.parts
             networks = load_networks(self.config) if parts.detector is None else Networks(parts.detector, None)
-            scenes = self._loaded_scenes(progress)
+            if parts.scenes is None:
+                scenes = load_scene_set(self.config, progress)
+            else:
+                own = [scene for part in parts.scenes for scene in part]
+                steps = progress.steps("scenes", self.as_seen(own), count=len(own))
+                scenes = pack_scenes(steps, (len(parts.scenes[0]), len(parts.scenes[1])), self.config, progress)
             probability = parts.probability
             if probability is None and _needs_fit(self.config, parts.losses):
                 probability = _fitted(self.config, progress, detector=parts.detector, ego=parts.ego)
             self._prepared = _assembled(self, scenes, networks, probability)
         return self
-
-    def _loaded_scenes(self, progress: Progress) -> SceneSet:
-        if self.parts.scenes is None:
-            return load_scene_set(self.config, progress)
-        train, validation = self.parts.scenes
-        scenes = [*train, *validation]
-        steps = progress.steps("scenes", self.as_seen(scenes), count=len(scenes))
-        return pack_scenes(steps, (len(train), len(validation)), self.config, progress)
 
     @property
     def _ready(self) -> _Prepared:

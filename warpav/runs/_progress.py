@@ -154,13 +154,10 @@ class RunDisplay:
     def _is_told(self) -> bool:
         return self._verbose and not self.console.is_terminal
 
-    def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
+    def _start(self, description: str, count: int | None) -> None:
         if self._task is not None:
             self._bar.remove_task(self._task)
-        self._task = self._bar.add_task(shown(description).plain, total=count, completed=completed, speed="")
-
-    def _start(self, description: str, count: int | None) -> None:
-        self._replace_task(description, count)
+        self._task = self._bar.add_task(shown(description).plain, total=count, speed="")
         if self._is_told:
             self.say(description if count is None else f"{description}: {count}")
 

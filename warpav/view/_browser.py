@@ -487,9 +487,6 @@ class BrowserComparison(_Page):
     def _show(self, name: str, value: int) -> None:
         self.shown[name] = value
 
-    def _toggle(self, rig: int) -> None:
-        self.hidden ^= {rig}
-
     def _follow(self) -> None:
         plotter, rigs, height_m = self.plotter, self.compared.rigs, SHOWN_HEIGHTS_M[self.shown["height"]]
         cameras = [camera for rig in rigs.values() for camera in rig.cameras]
@@ -537,7 +534,7 @@ class BrowserComparison(_Page):
                 html.Div(style=("`width: 14px; height: 14px; margin: 3px 6px 0 0; background: ${each.colour}`",))
                 html.Div("{{ each.who }}: {{ each.area }}, {{ each.users }} road user{{ each.users === 1 ? '' : 's' }}")
             for k, name in enumerate(compared.rigs):
-                toggled = partial(self._do, self._toggle, k)
+                toggled = partial(self._do, self.hidden.symmetric_difference_update, {k})
                 options = {"label": f"cameras of {name}", "color": hex_colour(camera_rgb(k)), "classes": "ml-2"}
                 v.VSwitch(v_model=(f"shows_{k}", True), update_modelValue=toggled, **options, **_SMALL)
 

@@ -207,7 +207,10 @@ class Inspector:
         """Take a step of `EditedRig` by its name, such as ``undo``; the camera that it was about is chosen."""
         edit = getattr(self.state.edits, step)(*words, **numbers)
         self.chosen = edit.camera
-        self._after_change()
+        with self._one_render():
+            self._move()
+            self._draw(*_PARTS, "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
+            self._redraw()
 
     def edit_chosen(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
         """Take a step about the chosen camera, if there is one."""
@@ -423,12 +426,6 @@ class Inspector:
         if "visibility" in self.shows:
             self._draw_visibility([camera], rays=_DRAGGED_RAYS_PX)
         self._redraw(detector=False)
-
-    def _after_change(self) -> None:
-        with self._one_render():
-            self._move()
-            self._draw(*_PARTS, "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
-            self._redraw()
 
     def _move(self) -> None:
         cameras = self.state.rig.cameras

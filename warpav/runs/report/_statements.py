@@ -180,7 +180,8 @@ def cautions(run: RunContent) -> list[Statement]:
         if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
             text = f"the vehicle's own body covers up to {share:.0%} of an image"
             found.append(Statement(f"{name} detects nothing", text, "bad"))
-    found += [_broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
+    found += [each for each in (_rules(evaluation),) if each and each.tone == "bad"]
+    found += [_unexpected(evaluation), _worse(evaluation)]
     found += [_told_apart(run, evaluation), _false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
     return [each for each in found if each is not None]
 
@@ -223,11 +224,6 @@ def _unexpected(evaluation: RigEvaluation) -> Statement | None:
         "expected: do not rely on the expected misses of this run."
     )
     return Statement("Expected misses", text, "bad")
-
-
-def _broken_rules(evaluation: RigEvaluation) -> Statement | None:
-    rules = _rules(evaluation)
-    return rules if rules is not None and rules.tone == "bad" else None
 
 
 def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
@@ -343,13 +339,6 @@ def _simpler(evaluation: RigEvaluation) -> Statement | None:
     return Statement("Simpler", text)
 
 
-def _search_scenes(run: RunContent) -> str:
-    validation = run.config is not None and bool(run.config.scenes.validation_seeds)
-    if run.certificate is not None:
-        return "training and validation" if validation else "training"
-    return "validation" if validation else "training"
-
-
 def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     training = evaluation.training_objective
     if training is None or training.optimised is None:
@@ -360,7 +349,9 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
         return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
     change = _change(training.start, training.optimised)
-    text = f"On the {_search_scenes(run)} scenes it {change}"
+    validated = run.config is not None and bool(run.config.scenes.validation_seeds)
+    on = "validation" if validated else "training"
+    text = f"On the {'training and ' if validated and run.certificate is not None else ''}{on} scenes it {change}"
     if evaluation.robust is not None:
         return Statement("Objective", f"{text}: {_robust_text(evaluation.robust)}.")
     more = [text for name, text in _FURTHER_TERMS.items() if name in _terms(run)]
