@@ -12,8 +12,10 @@ from cyclopts import Parameter
 
 from warpav.cli._arguments import (
     DEFAULT_CONFIG,
+    Beside,
     Config,
     Overrides,
+    Requirements,
     RigConfig,
     RigSource,
     SceneSource,
@@ -115,10 +117,7 @@ def evaluate(
     rig: RigSource,
     /,
     *overrides: Overrides,
-    beside: Annotated[
-        list[str] | None,
-        Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
-    ] = None,
+    beside: Beside = None,
     json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
     config: RigConfig = None,
     soiling: Annotated[
@@ -171,9 +170,7 @@ def check(
     rig: RigSource,
     /,
     *overrides: Overrides,
-    requirements: Annotated[
-        str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")
-    ] = "near_field",
+    requirements: Requirements = "near_field",
     out: Annotated[Path, Parameter(help="HTML file to write.")] = Path("check.html"),
     config: RigConfig = None,
 ) -> int:
@@ -329,10 +326,7 @@ def plot(
     out: Annotated[
         Path | None, Parameter(help="PNG, SVG or PDF to write, of all kinds a folder; by default KIND.png.")
     ] = None,
-    beside: Annotated[
-        list[str] | None,
-        Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
-    ] = None,
+    beside: Beside = None,
     config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import InputError
+from warpav.core.files import check_parent
 from warpav.core.warp_setup import checked_device
 from warpav.optimisation import DetectionRange
 from warpav.raster.mesh import Mesh
@@ -36,7 +37,7 @@ from warpav.sight import (
     read_requirements,
     sight,
 )
-from warpav.view import Canvas, drawing_of, figure_bytes
+from warpav.view import Canvas, checked_figure, drawing_of, figure_bytes
 
 _LIGHT_M = np.array([[x, y, 5.0] for x in (15.0, 20.0, 30.0, 40.0, 60.0) for y in (-3.5, 0.0, 3.5)])
 """Traffic lights: how far in front of the body, to the left, and how high [m]."""
@@ -61,10 +62,7 @@ class Item(NamedTuple):
 
 def check_rig_page(source: str, config: Config, *, requirements: str, out: Path) -> tuple[Path, list[Item]]:
     """Write a page that says whether a rig keeps requirements and design rules; its file and what was checked."""
-    if out.suffix.lower() != ".html":
-        raise ArgumentError("out", f"expected a page to write, such as check.html, got {str(out)!r}")
-    if not out.absolute().parent.is_dir():
-        raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    check_parent(checked_figure(out, (".html",)), "out")
     wanted, checks = read_requirements(requirements), read_checks(requirements)
     check_rig_source(source)
     ego, device = first_scene(config).ego, checked_device(config.device)

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.core.bounded_files import PNG_SIGNATURE, is_whole_png
 from warpav.core.errors import ArgumentError
-from warpav.core.files import writing
+from warpav.core.files import check_parent, writing
 from warpav.core.records import unread_text
 from warpav.detection import ROAD_USERS, Detections, OnnxDetector
 from warpav.runs._networks import load_detector
@@ -43,8 +43,7 @@ def check_detector(
         raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)
     target = None if image_file is None else checked_figure(out or Path(f"{image_file.stem}_boxes.png"), (".png",))
-    if target is not None and not target.absolute().parent.is_dir():
-        raise ArgumentError("out", f"expected an existing folder to write to, got {str(target.parent)!r}", place=target)
+    check_parent(target, "out")
     config = config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})})
     detector = load_detector(config, every_road_user=True)
     if not set(config.scenes.targets) <= set(detector.road_users):

@@ -279,8 +279,7 @@ def write_inspector_page(
         save_page,
     )
 
-    if out.suffix.lower() != ".html":
-        raise ArgumentError("out", f"expected a name that ends in .html, got {str(out)!r}")
+    checked_figure(out, (".html",))
     load_k3d()
     seeds = config.scenes.test_seeds[:scene_count]
     shown = list(load_scenes(config, seeds)) if scene is None else [read_scene(scene)]

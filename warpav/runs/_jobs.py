@@ -13,7 +13,7 @@ import numpy as np
 from warpav.core.cache import user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
 from warpav.core.executor import Executor
-from warpav.core.files import json_ready, write_json
+from warpav.core.files import check_parent, json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device, device_name
 from warpav.optimisation import Drawing, IterationRecord, LoadState, ObjectOutcome, PoolRun, SoiledPart
@@ -36,6 +36,7 @@ from warpav.runs.report._statements import verdict
 from warpav.runs.report.report import write_comparison
 from warpav.runs.report.tables import comparison_table
 from warpav.runs.robustness import load_states_of, soiling_of
+from warpav.view import checked_figure
 
 if TYPE_CHECKING:
     from warpav.scene import Scene
@@ -322,10 +323,7 @@ def measure_rig(
 ) -> RunContent:
     """Metrics of a rig on the test scenes, written to a file if there is one."""
     names = arm_names(source, beside)
-    if json_file is not None and not json_file.absolute().parent.is_dir():
-        raise ArgumentError(
-            "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
-        )
+    check_parent(json_file, "json")
     folder = RunFolder.open(source) if is_run_folder(source) else None
     run, own_detector = (folder and read_evaluation(folder)), (folder and folder.environment().get("own_detector"))
     if own_detector and config.detector.model == "builtin":
@@ -372,10 +370,7 @@ def _measured_beside(
 
 def compare_rigs(sources: Sequence[str], config: Config, out: Path, *, again: str, progress: Progress) -> Path:
     """Write a page that stands alone with two or three rigs side by side, on the same test scenes."""
-    if out.suffix.lower() != ".html":
-        raise ArgumentError("out", f"expected a page to write, such as page.html, got {str(out)!r}")
-    if not out.absolute().parent.is_dir():
-        raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    check_parent(checked_figure(out, (".html",)), "out")
     compared, placement = _side_by_side(sources, config, progress)
     assert compared.evaluation is not None
     return write_comparison(compared, comparison_figures(compared.evaluation, placement, progress), out, again)
