@@ -199,41 +199,32 @@ class Placement:
             device: Warp device such as ``"cuda:0"``.
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
-            **options: ``fov_deg``: horizontal field of view of every camera [deg].
+            **options: Of these names:
 
-                ``ego``: the vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
-                vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or ``(vertices [n, 3], faces
-                [m, 3])``; None: the scenes' own.
-
-                ``zones``: YAML file of zones anywhere on the body, see `warpav.rig._zone.read_zones`; None: roof and
-                bonnet, of modules those that the body suggests.
-
-                ``modules``: camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its
-                number or a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal
-                cameras.
-
-                ``freeze``: names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer
-                cameras than ``cameras`` says; the others are added.
-
-                ``rig``: other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
-
-                ``losses``: weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses,
-                of `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
-
-                ``importance``: weights of road users, as in the section ``importance``:
-                ``{"category": {"pedestrian": 2.0}}``.
-
-                ``requirements``: what has to be seen near the vehicle: a YAML file, the name of a template such as
-                ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
-
-                ``robust``: whether the loss of a camera or errors of mounting count, as in the section ``robust``:
-                ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
-
-                ``fusion``: ``"any"`` sensor may find a road user; ``"both"``: a camera and a LiDAR must; ``60.0``: both
-                must nearer than so many metres.
-
-                ``probability``: the detector's model of detection probability, as `warpav.runs._detector_fit.fit` gives
-                it; None: the stored one, which is fitted first if there is none.
+                - ``fov_deg``: horizontal field of view of every camera [deg].
+                - ``ego``: the vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
+                  vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or ``(vertices [n, 3], faces
+                  [m, 3])``; None: the scenes' own.
+                - ``zones``: YAML file of zones anywhere on the body, see `warpav.rig._zone.read_zones`; None: roof and
+                  bonnet, of modules those that the body suggests.
+                - ``modules``: camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its
+                  number or a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal
+                  cameras.
+                - ``freeze``: names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer
+                  cameras than ``cameras`` says; the others are added.
+                - ``rig``: other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
+                - ``losses``: weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses,
+                  of `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+                - ``importance``: weights of road users, as in the section ``importance``:
+                  ``{"category": {"pedestrian": 2.0}}``.
+                - ``requirements``: what has to be seen near the vehicle: a YAML file, the name of a template such as
+                  ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
+                - ``robust``: whether the loss of a camera or errors of mounting count, as in the section ``robust``:
+                  ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
+                - ``fusion``: ``"any"`` sensor may find a road user; ``"both"``: a camera and a LiDAR must; ``60.0``:
+                  both must nearer than so many metres.
+                - ``probability``: the detector's model of detection probability, as `warpav.runs._detector_fit.fit`
+                  gives it; None: the stored one, which is fitted first if there is none.
 
         Raises:
             InputError: An argument cannot be used; the text names it.
@@ -758,16 +749,8 @@ def _assembled(
     )
     train, others = assigned[:train_count], assigned[train_count:]
     validation_count = len(scenes.validation)
-    return _Prepared(
-        scenes,
-        networks,
-        probability,
-        objective,
-        segregation,
-        train,
-        others[:validation_count] or train,
-        others[validation_count:],
-    )
+    held = others[:validation_count] or train, others[validation_count:]
+    return _Prepared(scenes, networks, probability, objective, segregation, train, *held)
 
 
 def _camera_probabilities(
