@@ -43,8 +43,7 @@ RigConfig = Annotated[
     str | None, Parameter(name="--config", help="Configuration; by default that of the run folder, or quick.")
 ]
 Beside = Annotated[
-    list[str] | None,
-    Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
+    list[str] | None, Parameter(help="Another rig to compare with, as the first is given. May be given several times.")
 ]
 Requirements = Annotated[
     str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")

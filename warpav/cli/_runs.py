@@ -218,17 +218,7 @@ def inspect(
         ),
     ] = None,
     show: Annotated[
-        Literal[
-            "rig",
-            "coverage",
-            "redundancy",
-            "outcomes",
-            "visibility",
-            "further",
-            "zones",
-            "gain",
-            "sheet",
-        ],
+        Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; redundancy, how many see the ground "
             "itself; zones, where cameras may stand on the body; outcomes, which vehicles are "

@@ -69,9 +69,8 @@ if TYPE_CHECKING:
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 _TOWN_SEEDS = tuple(range(500_000, 500_050))
 _TOWN_HELD_OUT = tuple(range(500_050, 500_080))
-_MIN_FIT_SCENES = 20
+_MIN_FIT_SCENES = 20  # training scenes of the user's own with which a model can be fitted and evaluated
 _FEW = 0.05  # of the objects; a weak detector finds several times as many
-"""Training scenes of the user's own with which a model can be fitted and evaluated."""
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
 """What was fitted for detectors that are objects, by what it was fitted for."""

@@ -51,10 +51,7 @@ class RunDisplay:
         self._numbers: Table | None = None
         self._task: TaskID | None = None
         self._live = Live(
-            console=self.console,
-            refresh_per_second=REFRESH_PER_SECOND,
-            transient=True,
-            get_renderable=self._render,
+            console=self.console, refresh_per_second=REFRESH_PER_SECOND, transient=True, get_renderable=self._render
         )
 
     def __enter__(self) -> RunDisplay:
