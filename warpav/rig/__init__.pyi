@@ -60,7 +60,6 @@ from warpav.rig.formats._convert import import_rig as import_rig
 from warpav.rig.formats._convert import import_rig_with_notes as import_rig_with_notes
 from warpav.rig.presets import AS_BUILT as AS_BUILT
 from warpav.rig.presets import HAND_RIGS as HAND_RIGS
-from warpav.rig.presets import HIGHEST as HIGHEST
 from warpav.rig.presets import find_rig_file as find_rig_file
 from warpav.rig.presets import is_preset as is_preset
 from warpav.rig.presets import preset_about as preset_about

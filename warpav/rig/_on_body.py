@@ -159,7 +159,6 @@ def _freest(
 
 
 def _are_hit(caster: EmbreeScene, origin_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Which rays meet the vehicle, bool [ray]."""
     origin_m, direction = (np.ascontiguousarray(each, np.float32) for each in (origin_m, direction))
     return np.asarray(caster.run(origin_m, direction, query="OCCLUDED")) >= 0
 

@@ -273,14 +273,12 @@ def write_inspector_page(
         Picture,
         add_coverage,
         add_range_rings,
-        load_k3d,
         patch_words,
         rig_plotter,
         save_page,
     )
 
-    checked_figure(out, (".html",))
-    load_k3d()
+    check_suffix(checked_figure(out, (".html",)))
     seeds = config.scenes.test_seeds[:scene_count]
     shown = list(load_scenes(config, seeds)) if scene is None else [read_scene(scene)]
     rig = find_rig(source, config, shown[0].ego)
