@@ -11,14 +11,7 @@ from warpav.detection import Detections
 from warpav.optimisation import CameraObservation, FurtherCameras
 from warpav.rig import MountSurface, Rig
 from warpav.view import detections_sheet, further_figure, loss_figure, search_figure, top_view_figure
-from warpav.view._palette import (
-    FALSE_POSITIVE_RGB,
-    FURTHER_RGB,
-    MISS_RGB,
-    TRUE_POSITIVE_RGB,
-    camera_rgb,
-    further_map,
-)
+from warpav.view._palette import FALSE_POSITIVE_RGB, FURTHER_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, further_map
 from warpav.view.figures._convergence import _running_mean
 from warpav.view.figures._style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 
