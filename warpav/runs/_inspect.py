@@ -257,12 +257,7 @@ def serve_inspector(
 
 
 def write_inspector_page(
-    source: str,
-    config: Config,
-    out: Path,
-    *,
-    scene: Path | None = None,
-    scene_count: int = _PAGE_SCENES,
+    source: str, config: Config, out: Path, *, scene: Path | None = None, scene_count: int = _PAGE_SCENES
 ) -> Path:
     """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, switches for all."""
     from warpav.scene import DeviceScene

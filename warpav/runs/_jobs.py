@@ -104,12 +104,7 @@ def optimise(
 
 
 def optimise_rig(
-    config: Config,
-    *,
-    name: str,
-    progress: Progress,
-    of: Placement | None = None,
-    test: Sequence[Scene] | None = None,
+    config: Config, *, name: str, progress: Progress, of: Placement | None = None, test: Sequence[Scene] | None = None
 ) -> tuple[RunFolder, Result, RunContent]:
     """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
 
@@ -218,11 +213,7 @@ def resume(
 
 
 def _run_to_the_end(
-    folder: RunFolder,
-    optimisation: Optimisation,
-    test: Sequence[Scene] | None,
-    timer: StageTimer,
-    progress: Progress,
+    folder: RunFolder, optimisation: Optimisation, test: Sequence[Scene] | None, timer: StageTimer, progress: Progress
 ) -> tuple[Result, RunContent]:
     write_rig(optimisation.start, folder.rig_path("initial"))
     with _kept_when_stopped(folder, optimisation, progress):
@@ -263,7 +254,6 @@ def _drawing(config: Config) -> Drawing:
 
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:
-    """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
     descent = optimisation.descent
     folder.append_event(record)
     if record.stage == "start":  # the best by hand is known now

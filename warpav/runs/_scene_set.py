@@ -184,7 +184,6 @@ def prepare_scenes(config: Config, progress: Progress) -> None:
 
 
 def _seeds(config: Config) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    """Of training, validation and test."""
     return config.scenes.train_seeds, config.scenes.validation_seeds or (), config.scenes.test_seeds
 
 

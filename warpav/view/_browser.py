@@ -556,7 +556,6 @@ def _or_off(action: Callable[[Any], object], wanted: Any) -> None:  # noqa: ANN4
 
 
 def _new_server() -> tuple[Server, Any, Any]:
-    """A server of its own, and the widgets of its page: those of HTML and of Vuetify."""
     try:
         from trame.app import get_server
         from trame.widgets import html, vtk, vuetify3  # noqa: F401 (asked for before anything is made)

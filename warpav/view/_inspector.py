@@ -606,7 +606,6 @@ def _image(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a pyvista.ImageData)
 
 
 def _image_actor() -> Any:  # noqa: ANN401 (a vtkActor2D)
-    """An image in the plane of the window, with its lower left corner in that of the window."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
     mapper = vtkImageMapper()

@@ -288,7 +288,6 @@ def project_px(plotter: Plotter, point_m: np.ndarray) -> np.ndarray:
 def _add_ground(
     plotter: Plotter, bounds_m: np.ndarray, *, height_m: float = 0.0, shadow: bool = True, rings: bool = True
 ) -> None:
-    """Add a plain ground around a vehicle's bounds that fades into the background."""
     low, high = np.asarray(bounds_m, np.float64)
     middle = (low[:2] + high[:2]) / 2
     turn = np.linspace(0.0, 2.0 * math.pi, 181)

@@ -75,7 +75,6 @@ def kinds_of(cls: type) -> dict[str, Kind]:
 
 
 def _checked_kind(cls: type, kind: str | None) -> Kind:
-    """A kind of a class by its name; None: the usual one."""
     kinds = kinds_of(cls)
     if not kinds:
         known = sorted(each.__name__ for each in _KINDS)
@@ -241,7 +240,6 @@ def _show(plotter: Plotter, options: Mapping[str, Any], *, off_screen: bool | No
 
 
 def _deliver_figure(figure: Any, canvas: Canvas) -> Any:  # noqa: ANN401 (matplotlib)
-    """Write a figure of matplotlib, or show it: as an image in a notebook, else in the system's viewer of images."""
     import io
 
     from PIL import Image

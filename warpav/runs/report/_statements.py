@@ -227,7 +227,6 @@ def _unexpected(evaluation: RigEvaluation) -> Statement | None:
 
 
 def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """Scenes in which every rig finds nearly everything."""
     missed = [each for each in evaluation.misses.values() if each is not None]
     if len(missed) < 2 or max(missed) >= _EASY_PER_100:
         return None
@@ -237,7 +236,6 @@ def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _false_alarms(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """Rigs whose detector never raises as many false alarms as rigs are compared at."""
     fewer = [name for name, arm in evaluation.arms.items() if arm.confidence_at_equal_false_alarms == 0.0]
     if run.config is None or not fewer:
         return None

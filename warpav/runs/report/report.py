@@ -294,7 +294,6 @@ def _metrics(run: RunContent) -> list[tuple[str, list[tuple[str, str, str]]]]:
 
 
 def _curves(run: RunContent) -> Any:  # noqa: ANN401 (matplotlib)
-    """The course of a search or of a descent; None for events that know neither."""
     records = [event.model_dump() for event in run.events]
     if all({"terms", "multipliers"} <= event.model_fields_set for event in run.events):
         spacing_m = None if run.config is None else run.config.rig.min_spacing_m

@@ -24,18 +24,7 @@ from warpav.view._output import write_bytes
 from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 from warpav.view.drawing._dxf import drawing_dxf, load_ezdxf
 from warpav.view.drawing._mounts import Mount, angles_deg, mount_csv, mount_glb, mounts, plain
-from warpav.view.drawing._sheet import (
-    TEXT_MM,
-    Mark,
-    Note,
-    Ordinate,
-    Sheet,
-    Stroke,
-    View,
-    add_names,
-    box_mm,
-    circle_mm,
-)
+from warpav.view.drawing._sheet import TEXT_MM, Mark, Note, Ordinate, Sheet, Stroke, View, add_names, box_mm, circle_mm
 from warpav.view.figures._style import (
     FIGURE_SUFFIXES,
     SCALES,

@@ -25,15 +25,7 @@ from warpav.view._palette import (
     camera_rgb,
     hex_colour,
 )
-from warpav.view.figures._style import (
-    WIDTH_INCH,
-    caption,
-    empty_panel,
-    figure_style,
-    new_figure,
-    save_figure,
-    title,
-)
+from warpav.view.figures._style import WIDTH_INCH, caption, empty_panel, figure_style, new_figure, save_figure, title
 
 if TYPE_CHECKING:
     from warpav.optimisation import CameraObservation

@@ -153,7 +153,6 @@ def found_alone_figure(rigs: Mapping[str, Rig], ego: Mesh, place_m: Mapping[str,
 def _panels(
     rigs: Mapping[str, Rig], meaning: Mapping[str, Sequence[Any]], text: str, heading: str | None
 ) -> Iterator[list[Any]]:
-    """Panels of rigs above a key of colours and cameras."""
     cameras = camera_handles(rigs)
     columns = [-(-len(each) // 6) if len(cameras) == 1 else 1 for each in cameras.values()]
     lines = max(-(-len(each) // count) for each, count in zip(cameras.values(), columns, strict=True))
