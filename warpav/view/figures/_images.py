@@ -14,6 +14,7 @@ from warpav.detection import render
 from warpav.scene import EGO, EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, DeviceScene, ViewKind
 from warpav.sight import body_shares
 from warpav.view._palette import (
+    CAMERA_RGB,
     FALSE_POSITIVE_RGB,
     INK_RGB,
     MISS_RGB,
@@ -149,7 +150,7 @@ def _instance_colour(instance_id: int) -> Rgb:
         return _ENVIRONMENT_RGB
     if instance_id == EGO_INSTANCE:
         return INK_RGB
-    shade, towards = [(0.0, PAPER_RGB), (0.45, PAPER_RGB), (0.4, INK_RGB)][(instance_id - 1) // 8 % 3]
+    shade, towards = [(0.0, PAPER_RGB), (0.45, PAPER_RGB), (0.4, INK_RGB)][(instance_id - 1) // len(CAMERA_RGB) % 3]
     mixed = (1.0 - shade) * np.array(camera_rgb(instance_id - 1)) + shade * np.array(towards)
     red, green, blue = np.rint(mixed).astype(int).tolist()
     return red, green, blue
