@@ -17,7 +17,7 @@
 # alike.
 
 # %% tags=["parameters"]
-train_seeds, test_seeds = range(12), range(5000, 5010)
+train_seeds, test_seeds = range(12), range(5000, 5040)
 pool_cameras, steps, front_cameras = 48, 40, "2..4"
 
 # %%
@@ -75,13 +75,19 @@ print(f"bound {result.bound:.4f}: no rig of the pool's {result.pool_cameras} cam
 
 # %%
 evaluation = wa.evaluate({"found": result.rig, "by hand": result.start}, test, placement)
+apart = evaluation.difference("found", "by hand")
+print(f"found less by hand: {apart.mean:+.1f} misses per 100, 95 % interval {apart.low:+.1f} to {apart.high:+.1f}")
 evaluation.table()
 
 # %% [markdown]
+# An interval with 0 in it tells no rig from the other by what the detector misses: twelve scenes to search on are few.
+# But the rig that was found sees the near field as asked, and less of its own body.
+#
 # ## Where cameras may stand
 #
 # `wa.propose_zones` keeps zones off wheels, lamps and plates (`warpav vehicle zones car.glb` does the same). What it
-# wrote is a text file to be edited: your designers know where a housing fits.
+# wrote is a text file to be edited: your designers know where a housing fits. Painted below are the zones that some of
+# our modules fits, of mirrored pairs the left half, and `..._middle`, the strip where single cameras stand.
 
 # %%
 for zone in wa.read_zones("zones.yaml"):
@@ -133,11 +139,11 @@ front.plot()
 # ## What if a camera fails, is mounted a degree off, or is dirty
 #
 # Left, what each camera costs that is off by 2 cm or by a degree; right, what the loss of it costs. Both are misses
-# per 100 road users in the unseen scenes:
+# per 100 road users, the errors in ten of the unseen scenes:
 
 # %%
-outage = evaluation.camera_outage["found"]
-tolerance = wa.robustness.mount_tolerance(result.rig, test, placement, sample_count=8)
+outage, some = evaluation.camera_outage["found"], test[:10]
+tolerance = wa.robustness.mount_tolerance(result.rig, some, placement, sample_count=8)
 without, off = outage.worst, tolerance.worst
 print(f"worst to lose: {without.camera}, {without.difference_per_100:+.2f} misses per 100")
 print(f"worst error of mounting: {off.degree} of {off.camera}, {off.worst:+.2f}")
@@ -145,11 +151,11 @@ wa.plot(tolerance, outages=outage)
 
 # %% [markdown]
 # Dirt that covers a tenth of an image, around its middle, on one camera after the other; and a boot full of luggage,
-# which turns the nose up by a degree and lowers the car by 5 cm:
+# which turns the nose up by a degree and lowers the car by 5 cm, in the same ten scenes:
 
 # %%
-print(wa.robustness.soiling(result.rig, test, placement, shape="disc", place=(0.5, 0.5), share=0.1).table())
-print(wa.robustness.load_states(result.rig, test, placement, states={"luggage": (-1.0, -0.05)}).table())
+print(wa.robustness.soiling(result.rig, some, placement, shape="disc", place=(0.5, 0.5), share=0.1).table())
+print(wa.robustness.load_states(result.rig, some, placement, states={"luggage": (-1.0, -0.05)}).table())
 
 # %% [markdown]
 # Too much? `wa.Placement(..., robust={"camera_loss": "worst"})` lets the search

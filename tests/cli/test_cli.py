@@ -122,20 +122,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(working_directory, capsys, arg
     assert os.listdir(working_directory / "empty") == []
 
 
-def test_a_start_with_another_number_of_cameras_is_refused(working_directory, capsys):
-    folder = working_directory / "rigs"
-    folder.mkdir()
-    camera = "{name: %s, position_m: [1, 0, 2], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, fov_deg: 90, %s}"
-    size = "width_px: 64, height_px: 64"
-    (folder / "three.yaml").write_text(
-        "frame: ego\ncameras:\n" + "".join(f"  - {camera % (name, size)}\n" for name in ("a", "b", "c"))
-    )
-    message = complaint(capsys, "optimise", "rig.start=rigs/three.yaml")
-    assert message.startswith(
-        "rigs/three.yaml: cameras: expected 4 as rig.cameras says, got 3; set rig.cameras=3, or name in"
-    )
-
-
 def test_more_cameras_than_fit_are_refused(working_directory, capsys):
     message = complaint(capsys, "optimise", *SMALL, "rig.cameras=8", "rig.min_spacing_m=3")
     assert message.startswith("command line (rig.cameras=8): rig.cameras: expected a number that fits on the mount")

@@ -15,10 +15,7 @@ from warpav.scene import town_scene, write_scene
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
-POOL = [
-    *SMALL[:-1],
-    *("losses.probability=visible_share", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"),
-]
+POOL = [*SMALL[:-1], *("losses.probability=visible_share", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0")]
 """A small search by a pool, by a model of detection probability that needs no fit."""
 
 

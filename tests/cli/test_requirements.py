@@ -13,7 +13,7 @@ def test_a_preset_is_checked_and_drawn(working_directory, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:2] == ["requirement", "needs"]
     assert lines[1].startswith("rear_view ")
-    assert lines[3] == "not met: rear_view (largest gap: 2.40 m², rear), rear_detection (largest gap: 1.92 m², rear)"
+    assert lines[3] == "not met: rear_view (largest gap: 1.44 m², rear), rear_detection (largest gap: 0.96 m², rear)"
     assert lines[4:] == ["wrote out.json", "wrote out.png"]
     data = json.loads((working_directory / "out.json").read_text())
     assert not data["met"]

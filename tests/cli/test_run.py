@@ -144,18 +144,25 @@ def test_compare_says_who_misses_least_and_that_a_rig_is_no_better_than_itself(r
     assert not list(Path().glob("no.*"))
 
 
-@pytest.mark.parametrize(("pitch_deg", "status"), [(0.0, 0), (60.0, 1)])
-def test_check_fails_a_rig_whose_images_have_no_horizon(pitch_deg, status, working_directory, capsys):
+@pytest.mark.parametrize(
+    ("height_m", "pitch_deg", "rule", "found"),
+    [
+        (1.8, 0.0, "Horizon below", r"50% \(front\).*\+40%"),
+        (1.8, 60.0, "Horizon below", r"-100% \(front\).*-110%"),
+        (1.2, 0.0, "Cameras on the body", r"0\.\d\d m inside \(front\).*-0\.\d\d m"),
+    ],
+)
+def test_check_fails_what_an_engineer_would_not_mount(height_m, pitch_deg, rule, found, working_directory, capsys):
     """Half of a level camera's image is above the horizon; one that looks down by more than half its view has none."""
-    place = {"position_m": [1.8, 0.0, 1.8], "yaw_deg": 0.0, "roll_deg": 0.0}
+    place = {"position_m": [1.2, 0.0, height_m], "yaw_deg": 0.0, "roll_deg": 0.0}
     camera = {"name": "front", **place, "pitch_deg": pitch_deg, "fov_deg": 60.0, "width_px": 64, "height_px": 64}
     Path("one.yaml").write_text(yaml.safe_dump({"frame": "ego", "cameras": [camera]}))
-    assert main(["check", "one.yaml", "--out", "check.html"]) == status
-    page = Path("check.html").read_text()
-    row = re.search(r"<tr>(?:(?!</tr>).)*Horizon below.*?</tr>", page, re.DOTALL)[0]
-    assert ("FAIL" in row, "pass" in row) == (status == 1, status == 0)
-    assert status == 1 or ("50% (front)" in row and "+40%" in row)
-    assert ("FAIL Horizon" in capsys.readouterr().out) == (status == 1)
+    is_good = height_m > 1.5 and pitch_deg == 0.0
+    assert main(["check", "one.yaml", "--out", "check.html"]) == (not is_good)
+    row = re.search(rf"<tr>(?:(?!</tr>).)*{rule}.*?</tr>", Path("check.html").read_text(), re.DOTALL)[0]
+    assert ("FAIL" in row, "pass" in row) == (not is_good, is_good)
+    assert re.search(found, row, re.DOTALL)
+    assert (f"FAIL {rule}" in capsys.readouterr().out) == (not is_good)
     assert main(["check", "one.yaml", "--requirements", "nothing", "--out", "no.html"]) == 2
     assert not Path("no.html").exists()
 

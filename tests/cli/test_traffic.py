@@ -70,17 +70,9 @@ EMPTY = {**street()["road_users"][0], "t": [], "x_m": [], "y_m": [], "yaw_rad": 
         ),
         ("a.json", json.dumps(street(dt_s=500.0)), "dt_s: expected the time between two steps, up to 5 s, got 500"),
         ("a.json", json.dumps(mirrored()), "yaw_rad: expected headings counter-clockwise from x"),
-        (
-            "a.json.gz",
-            gzip.compress(json.dumps(street()).encode())[:-20],
-            "got: Compressed file ended",
-        ),
+        ("a.json.gz", gzip.compress(json.dumps(street()).encode())[:-20], "got: Compressed file ended"),
         ("a.xml", scenario("2020a")[:-900], "expected a whole CommonRoad scenario, got a syntax error: unclosed token"),
-        (
-            "a.xml.gz",
-            gzip.compress(scenario("2020a").encode())[:-20],
-            "got: Compressed file ended",
-        ),
+        ("a.xml.gz", gzip.compress(scenario("2020a").encode())[:-20], "got: Compressed file ended"),
         ("a.xml", scenario("2020a").replace("?>\n", f"?>\n{BOMB}", 1), "expected XML without a DOCTYPE"),
         (
             "a.xml",

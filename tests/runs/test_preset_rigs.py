@@ -147,4 +147,9 @@ def test_a_preset_is_drawn_where_it_is_measured(caplog):
 def test_a_rig_of_another_vehicle_is_told(tmp_path, caplog):
     write_rig(wa.preset("nuscenes"), tmp_path / "mine.yaml")
     find_rig(str(tmp_path / "mine.yaml"), load_config("quick"), read_vehicle(file_of("bus")))
-    assert "mine.yaml: 1 of 6 cameras are more than 1 m from the surface of the vehicle" in caplog.text
+    [told] = caplog.messages
+    assert (
+        "mine.yaml: expected cameras outside of the vehicle's body and at most 0.5 m off its skin, got 6 of 6" in told
+    )
+    assert "CAM_FRONT 1.10 m inside" in told
+    assert "name the vehicle that carries it by scenes.ego" in told

@@ -11,14 +11,7 @@ from warpav.detection import Detections
 from warpav.optimisation import CameraObservation, FurtherCameras
 from warpav.rig import MountSurface, Rig
 from warpav.view import detections_sheet, further_figure, loss_figure, search_figure, top_view_figure
-from warpav.view._palette import (
-    FALSE_POSITIVE_RGB,
-    FURTHER_RGB,
-    MISS_RGB,
-    TRUE_POSITIVE_RGB,
-    camera_rgb,
-    further_map,
-)
+from warpav.view._palette import FALSE_POSITIVE_RGB, FURTHER_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, further_map
 from warpav.view.figures._convergence import _running_mean
 from warpav.view.figures._style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 
@@ -234,9 +227,3 @@ def test_running_mean_is_the_mean_of_what_is_there():
     expected = [np.nanmean(value[max(0, i - 1) : i + 2]) for i in range(5)]
     np.testing.assert_allclose(_running_mean(value, window=3), expected)
     assert np.isnan(_running_mean(np.full(3, np.nan))).all()
-
-
-def test_figure_that_cannot_be_written_says_so(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="expected a place to write to"):
-        save_figure(loss_figure(records(3)), tmp_path / "file" / "loss.png")

@@ -90,7 +90,7 @@ def test_they_say_what_they_show(street, once):
     low = [replace(each, position_m=np.array([*xy_m, 0.8]), pitch_rad=0.6) for each, xy_m in corners]
     assert "worst" in words(drawn(Rig(low), "near_field", street))
     assert "without cam_" in words(once(ONE, "redundancy"))
-    assert "no image on" in words(drawn(rig(3, 70.0), "resolution", street))
+    assert "° in no image" in words(drawn(rig(3, 70.0), "resolution", street))
     sheet = words(once(ONE, "contact"))
     assert "yaw 90°, pitch 0°, fov 90°" in sheet
     assert "own body" in sheet

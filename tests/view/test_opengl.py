@@ -105,8 +105,7 @@ def test_a_display_that_does_not_answer_is_none(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("library", "window"),
-    [("libEGL.so.1", "vtkEGLRenderWindow"), ("libOSMesa.so.8", "vtkOSOpenGLRenderWindow")],
+    ("library", "window"), [("libEGL.so.1", "vtkEGLRenderWindow"), ("libOSMesa.so.8", "vtkOSOpenGLRenderWindow")]
 )
 def test_vtk_is_told_what_to_draw_with(no_display, monkeypatch, library, window):
     if library == "libEGL.so.1" and not opengl._egl_draws():

@@ -42,6 +42,12 @@ FileTurn = Annotated[
 RigConfig = Annotated[
     str | None, Parameter(name="--config", help="Configuration; by default that of the run folder, or quick.")
 ]
+Beside = Annotated[
+    list[str] | None, Parameter(help="Another rig to compare with, as the first is given. May be given several times.")
+]
+Requirements = Annotated[
+    str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")
+]
 RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or by hand: corners, cross, edge, highest.")]
 Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
 Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]

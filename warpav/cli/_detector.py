@@ -7,13 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from warpav.cli._arguments import (
-    DEFAULT_CONFIG,
-    Config,
-    Overrides,
-    configured,
-    say,
-)
+from warpav.cli._arguments import DEFAULT_CONFIG, Config, Overrides, configured, say
 
 detector_app = App(
     name="detector", help="Object detectors: check one, and fit the probability that it finds an object."

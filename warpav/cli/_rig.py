@@ -12,6 +12,7 @@ from warpav.cli._arguments import (
     FileOrigin,
     FileTurn,
     Overrides,
+    Requirements,
     RigConfig,
     RigSource,
     complain,
@@ -157,9 +158,7 @@ def _rig_requirements(
     rig: RigSource,
     /,
     *overrides: Overrides,
-    requirements: Annotated[
-        str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")
-    ] = "near_field",
+    requirements: Requirements = "near_field",
     json: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
     image: Annotated[Path | None, Parameter(help="PNG to draw the ground into, seen from above.")] = None,
     config: RigConfig = None,

@@ -12,8 +12,10 @@ from cyclopts import Parameter
 
 from warpav.cli._arguments import (
     DEFAULT_CONFIG,
+    Beside,
     Config,
     Overrides,
+    Requirements,
     RigConfig,
     RigSource,
     SceneSource,
@@ -115,10 +117,7 @@ def evaluate(
     rig: RigSource,
     /,
     *overrides: Overrides,
-    beside: Annotated[
-        list[str] | None,
-        Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
-    ] = None,
+    beside: Beside = None,
     json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
     config: RigConfig = None,
     soiling: Annotated[
@@ -171,9 +170,7 @@ def check(
     rig: RigSource,
     /,
     *overrides: Overrides,
-    requirements: Annotated[
-        str, Parameter(help="YAML file, or near_field, near_series, near_robot, r46_like, r158_like, r159_like.")
-    ] = "near_field",
+    requirements: Requirements = "near_field",
     out: Annotated[Path, Parameter(help="HTML file to write.")] = Path("check.html"),
     config: RigConfig = None,
 ) -> int:
@@ -221,17 +218,7 @@ def inspect(
         ),
     ] = None,
     show: Annotated[
-        Literal[
-            "rig",
-            "coverage",
-            "redundancy",
-            "outcomes",
-            "visibility",
-            "further",
-            "zones",
-            "gain",
-            "sheet",
-        ],
+        Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; redundancy, how many see the ground "
             "itself; zones, where cameras may stand on the body; outcomes, which vehicles are "
@@ -302,7 +289,6 @@ def view(
 
 
 def _rigs_and_overrides(rig: str, further: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Words of a command line: rigs, and the overrides among them."""
     return [rig, *(each for each in further if "=" not in each)], [each for each in further if "=" in each]
 
 
@@ -330,10 +316,7 @@ def plot(
     out: Annotated[
         Path | None, Parameter(help="PNG, SVG or PDF to write, of all kinds a folder; by default KIND.png.")
     ] = None,
-    beside: Annotated[
-        list[str] | None,
-        Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
-    ] = None,
+    beside: Beside = None,
     config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""

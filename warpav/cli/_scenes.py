@@ -227,11 +227,10 @@ def _scenes_figure(
     if seed is not None or capture is not None or scenes is not None:
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
     from warpav.experiments import draw_method_figure
-    from warpav.rig import HIGHEST
     from warpav.runs import RunDisplay, RunFolder, config_for
 
     folder = None if run is None else RunFolder.open(run)
-    with config_for(run or HIGHEST, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+    with config_for(run or "highest", config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         file = draw_method_figure(number, out, settings, run=folder, progress=display)
     say(f"wrote {file}")
 

@@ -8,15 +8,7 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from warpav.cli._arguments import (
-    DEFAULT_CONFIG,
-    Config,
-    FileAxis,
-    Overrides,
-    complain,
-    say,
-    with_flags,
-)
+from warpav.cli._arguments import DEFAULT_CONFIG, Config, FileAxis, Overrides, complain, say, with_flags
 
 vehicle_app = App(name="vehicle", help="Your own vehicle.")
 

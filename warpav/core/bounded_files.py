@@ -211,7 +211,6 @@ def read_arrays(
 
 
 def _header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype]:  # noqa: ANN401 (a member of an archive)
-    """Shape, whether columns come first, and type of the array that follows."""
     from numpy.lib import format as npy
 
     readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}

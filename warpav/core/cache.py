@@ -142,7 +142,6 @@ def _imports(source: str) -> Iterator[str]:
 
 @cache
 def _face(package: str) -> dict[str, str]:
-    """The modules that the names of a package's face come from."""
     stub = _source_file(package) if package.split(".", maxsplit=1)[0] in _PACKAGES else None
     if stub is None or not (stub := stub.with_suffix(".pyi")).is_file():
         return {}
@@ -152,7 +151,6 @@ def _face(package: str) -> dict[str, str]:
 
 @cache
 def _source_file(name: str) -> Path | None:
-    """The file of a module of our own, found without importing anything; None where the name means no module."""
     package, *parts = name.split(".")
     spec = importlib.util.find_spec(package)
     assert spec is not None

@@ -67,6 +67,12 @@ def writing(place: Path) -> Iterator[None]:
         raise WriteError(f"{place}: expected a place to write to, got: {error.strerror}") from None
 
 
+def check_parent(file: Path | None, option: str) -> None:
+    """Refuse a file to write, the value of an option, whose folder does not exist."""
+    if file is not None and not file.absolute().parent.is_dir():
+        raise ArgumentError(option, f"expected an existing folder to write to, got {str(file.parent)!r}", place=file)
+
+
 def write_text(file: Path, text: str) -> None:
     """Write a text in one step; raises `WriteError`."""
     with writing(file), atomic_write(file) as draft:

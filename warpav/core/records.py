@@ -246,7 +246,6 @@ def _field_at(form: type[BaseModel], location: Location) -> tuple[type[BaseModel
 
 
 def _without_null(annotation: Any) -> Any:  # noqa: ANN401
-    """What an annotation says beside None and notes."""
     while typing.get_origin(annotation) in (Annotated, typing.Union, types.UnionType):
         annotation = typing.get_args(annotation)[0]
     return annotation

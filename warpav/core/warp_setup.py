@@ -51,7 +51,6 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
 
 @cache
 def _process() -> int:
-    """The process in which Warp was initialised."""
     return os.getpid()
 
 

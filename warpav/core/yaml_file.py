@@ -143,7 +143,6 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
 
 
 def _whole_text(text: str, place: str) -> str:
-    """The text, whose characters are all whole."""
     if not text.isascii() and any("\ud800" <= each <= "\udfff" for each in text):
         raise InputError(
             f"{place}: expected text, got half of a character, such as \\ud800 alone; if it is of a path that is not "

@@ -16,7 +16,7 @@ from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
 from warpav.experiments._scene_figures import RIG_NUMBERS
 from warpav.optimisation import HEIGHT_DELTA_M, X_M, Y_M, RigObservation, RigObserver
-from warpav.rig import HIGHEST, Rig
+from warpav.rig import Rig
 from warpav.runs import (
     Optimisation,
     Placement,
@@ -157,7 +157,7 @@ def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
         progress.steps("scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds))
     )
     ego = scenes[0].ego
-    rig = find_rig(HIGHEST, config, ego)
+    rig = find_rig("highest", config, ego)
     surface = camera_mount(config, ego).surface
     views = _observer(config, progress)(rig, scenes, "test scenes")
     return highest_rig(rig, views, path, surface=surface)

@@ -245,7 +245,6 @@ class PoolSearch:
         return self
 
     def __next__(self) -> Found:
-        """The next state."""
         return next(self._states)
 
     def _run(self) -> Iterator[Found]:
@@ -292,7 +291,6 @@ class PoolSearch:
         return np.append(1 + self.cameras.mount.is_pair(mount_pose).astype(int), np.zeros(absent, int))
 
     def _begin(self) -> Iterator[Found]:
-        """Draw the start and the first pool."""
         mount, start = self.cameras.mount, self.task.start
         spread_count = self.settings.pool_cameras if self.settings.selects else 0
         first = self.assembly.frozen
@@ -567,7 +565,6 @@ class PoolSearch:
         return chosen, is_better
 
     def _problem(self) -> SelectionProblem:
-        """What a rig is chosen from: the pool."""
         absent = 0 if self.limits is None else self.limits.absent
         rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
         found = _with_absent(np.minimum(self.pool.detection_probability, SUREST), absent)
@@ -688,7 +685,6 @@ class PoolSearch:
         return self._meets_requirements(probability) and self._keeps_rules(mount_pose)
 
     def _detect(self, mount_pose: np.ndarray) -> Detected:
-        """What cameras detect in all scenes, and its Jacobian; they join the pool."""
         probability, jacobian = self.cameras.with_jacobian(mount_pose, self.scenes)
         self.pool = self.pool.joined(mount_pose, probability)
         return probability, jacobian

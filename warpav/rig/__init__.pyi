@@ -14,9 +14,11 @@ from warpav.rig._catalogue import read_modules as read_modules
 from warpav.rig._chart import chart_of as chart_of
 from warpav.rig._chart import propose_zones as propose_zones
 from warpav.rig._chart import with_middles as with_middles
+from warpav.rig._check import OFF_SKIN_M as OFF_SKIN_M
 from warpav.rig._check import description as description
 from warpav.rig._check import mirrored_cameras as mirrored_cameras
 from warpav.rig._check import oddities as oddities
+from warpav.rig._check import off_skin_m as off_skin_m
 from warpav.rig._check import off_vehicle as off_vehicle
 from warpav.rig._module import PLAIN as PLAIN
 from warpav.rig._module import PLAIN_HOUSING as PLAIN_HOUSING
@@ -58,7 +60,6 @@ from warpav.rig.formats._convert import import_rig as import_rig
 from warpav.rig.formats._convert import import_rig_with_notes as import_rig_with_notes
 from warpav.rig.presets import AS_BUILT as AS_BUILT
 from warpav.rig.presets import HAND_RIGS as HAND_RIGS
-from warpav.rig.presets import HIGHEST as HIGHEST
 from warpav.rig.presets import find_rig_file as find_rig_file
 from warpav.rig.presets import is_preset as is_preset
 from warpav.rig.presets import preset_about as preset_about

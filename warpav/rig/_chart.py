@@ -344,7 +344,6 @@ def _left_halves(
 
 
 def _fitting(module: Module, zones: Sequence[Zone]) -> list[Zone]:
-    """The zones that a module fits, by name or kind."""
     found = [zone for zone in zones if any(map(module.fits, (zone.name, *zone.kinds)))]
     if not found:
         there = ", ".join(zone.name + (f" ({', '.join(zone.kinds)})" if zone.kinds else "") for zone in zones)

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from warpav.raster.mesh import Mesh
+from warpav.rig._camera_body import nearest_on
+from warpav.rig._on_body import are_inside
 from warpav.rig._rig import Rig, RigCamera
 
 FAR_M = 100.0
@@ -18,8 +20,11 @@ FAR_M = 100.0
 _VEHICLE_M = 20.0  # no camera of a bus is farther from its rear axle
 _HEIGHT_M = (0.2, 5.0)
 
-_OFF_VEHICLE_M = 1.0
-"""A camera farther from the surface of its vehicle stands on a mast, or belongs to another vehicle."""
+OFF_SKIN_M = 0.5
+"""A camera farther off the skin of its vehicle stands on a mast, or belongs to another vehicle."""
+
+_INSIDE_M = 0.02
+"""What is no deeper in the body than this is flush [m]."""
 
 _SIDES = {"left": 1.0, "right": -1.0}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
@@ -108,21 +113,31 @@ def oddities(rig: Rig) -> Iterator[str]:
             yield f"cameras {one.name!r} and {other.name!r} share one position"
 
 
-def off_vehicle(rig: Rig, body: Mesh) -> str:
-    """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is."""
-    from warpav.rig._camera_body import nearest_on
+def off_skin_m(rig: Rig, vehicle: Mesh) -> np.ndarray:
+    """How far cameras are off the skin of a vehicle [m], float64 [camera]; negative: in its body, and not behind glass.
 
+    ``vehicle`` in the ego frame [m].
+    """
+    position_m = [camera.position_m for camera in rig.cameras]
+    distance_m = np.linalg.norm(nearest_on(vehicle, position_m) - position_m, axis=1)
+    is_inside = are_inside(vehicle, position_m) & [camera.behind_glass is None for camera in rig.cameras]
+    return np.where(is_inside & (distance_m > _INSIDE_M), -distance_m, distance_m)
+
+
+def off_vehicle(rig: Rig, vehicle: Mesh) -> str:
+    """One line about cameras of a rig in the body of its vehicle or far off its skin; empty where none is."""
     if unit := _in_millimetres(rig):
         return unit
-    # near a vertex is near enough not to be told
-    apart = [c for c in rig.cameras if np.linalg.norm(body.vertex_m - c.position_m, axis=1).min() > _OFF_VEHICLE_M]
-    nearest_m = nearest_on(body, [each.position_m for each in apart])
-    away_m = {each.name: float(np.linalg.norm(each.position_m - at)) for each, at in zip(apart, nearest_m, strict=True)}
-    far = {name: distance_m for name, distance_m in away_m.items() if distance_m > _OFF_VEHICLE_M}
-    if not far:
+    away_m = off_skin_m(rig, vehicle)
+    told = [
+        f"{camera.name} {abs(off_m):.2f} m {'inside' if off_m < 0.0 else 'off'}"
+        for camera, off_m in zip(rig.cameras, away_m, strict=True)
+        if not 0.0 <= off_m <= OFF_SKIN_M
+    ]
+    if not told:
         return ""
-    farthest = max(far, key=far.__getitem__)
     return (
-        f"{len(far)} of {len(rig.cameras)} cameras are more than {_OFF_VEHICLE_M:g} m from the surface of the vehicle, "
-        f"{farthest} {far[farthest]:.1f} m; is the rig of another vehicle? scenes.ego says which carries it"
+        f"expected cameras outside of the vehicle's body and at most {OFF_SKIN_M:g} m off its skin, got {len(told)} of "
+        f"{len(rig.cameras)} elsewhere: {', '.join(told)}; name the vehicle that carries it by scenes.ego, or move "
+        "them: position_m is from the ground below the middle of the rear axle"
     )

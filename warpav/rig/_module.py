@@ -235,7 +235,6 @@ def vertical_angle_rad(model: CameraModel) -> float:
 
 
 def _problems(module: Module) -> Iterator[_Problem]:
-    """All that is wrong with a module; contradictions only between fields that are right by themselves."""
     if not (isinstance(module.name, str) and _NAME.fullmatch(module.name)):
         yield _Problem("name", "letters, digits, '_', '-' and '.'", repr(module.name), "such as front_8mp_30")
     of_image = [] if module.beams else [*_size_problems(module), *_lens_problems(module)]
@@ -324,7 +323,6 @@ def _lens_problems(module: Module) -> Iterator[_Problem]:
 
 
 def _image_problems(module: Module) -> Iterator[_Problem]:
-    """What contradicts itself in lens and sensor together."""
     sensor = CameraModel(*module.sensor_px, module.fov_rad, lens=module.lens, distortion=tuple(module.distortion))
     blind = _blind_place(sensor)
     if blind:

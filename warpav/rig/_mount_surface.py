@@ -354,7 +354,6 @@ def _measured(
 
 
 def _used_range(is_measured: np.ndarray, axis: int) -> slice:
-    """From the first to the last index on ``axis`` that holds a true element, stretched to two where it is one."""
     first, last = np.flatnonzero(is_measured.any(axis=1 - axis))[[0, -1]]
     if first == last:
         first, last = (first, last + 1) if last + 1 < is_measured.shape[axis] else (first - 1, last)

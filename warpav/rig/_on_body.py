@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,6 +30,9 @@ _MIRROR_SHARE = 0.012
 
 _FAN_RAYS = 17
 """Rays across the middle row of the image that should miss the vehicle."""
+
+_UP = np.array([[math.cos(k), math.sin(k), rise] for rise in (0.05, 0.2, 0.4, 0.7, 1.2, 3.0) for k in range(32)])
+"""Directions above the horizon; of those of a flush camera the body hides .72 at most."""
 
 _PLACE_COUNT = 100_000
 """Places that are tried all over a body: 2 cm apart on a car."""
@@ -154,9 +159,14 @@ def _freest(
 
 
 def _are_hit(caster: EmbreeScene, origin_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Which rays meet the vehicle, bool [ray]."""
     origin_m, direction = (np.ascontiguousarray(each, np.float32) for each in (origin_m, direction))
     return np.asarray(caster.run(origin_m, direction, query="OCCLUDED")) >= 0
+
+
+def are_inside(vehicle: Mesh, point_m: Sequence[np.ndarray]) -> np.ndarray:
+    """Which points are in a body: none of their ways upwards is open, bool [point]."""
+    caster = ray_caster(vehicle)
+    return np.array([_are_hit(caster, np.tile(each_m, (len(_UP), 1)), _UP).all() for each_m in point_m])
 
 
 def skin_distance_m(vehicle: Mesh, point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -167,18 +167,15 @@ class Rig:
 
     @property
     def _table(self) -> Table:
-        """The cameras as a table, with the module where some camera is one."""
         columns = ("camera", *_TABLE_COLUMNS, *(("module",) if any(each.module for each in self.cameras) else ()))
         rows = tuple((camera.name, *_table_row(camera))[: len(columns)] for camera in self.cameras)
         count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
         return Table(columns, rows, f"Rig of {count}, ego frame: x forward, y left, z up")
 
     def __str__(self) -> str:
-        """The cameras as a table of plain text."""
         return "\n".join(aligned([self._table.columns, *self._table.rows]))
 
     def _repr_html_(self) -> str:
-        """What Jupyter shows: the cameras as a table."""
         return self._table._repr_html_()
 
     def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
@@ -494,6 +491,5 @@ def read_rig(path: str | Path) -> Rig:
 
 
 def _angle(angle_rad: float) -> str:
-    """The angle [deg] in (-180, 180], after rounding."""
     text = yaml_number(math.remainder(math.degrees(angle_rad), 360.0), _DECIMALS)
     return "180.0" if text == "-180.0" else text

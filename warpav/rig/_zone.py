@@ -244,7 +244,6 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
 
 
 def _is_convex(corner: np.ndarray) -> bool:
-    """Whether points [corner, 2] are those of a convex polygon in order along its border."""
     if len(corner) < 3:
         return False
     side = np.roll(corner, -1, axis=0) - corner

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import InputError
+from warpav.core.files import check_parent
 from warpav.core.warp_setup import checked_device
 from warpav.optimisation import DetectionRange
 from warpav.raster.mesh import Mesh
-from warpav.rig import Rig
+from warpav.rig import OFF_SKIN_M, Rig, off_skin_m
 from warpav.runs._evaluate import limits_for
 from warpav.runs._rig_source import check_rig_source, find_rig
 from warpav.runs._scene_set import first_scene
@@ -36,7 +37,7 @@ from warpav.sight import (
     read_requirements,
     sight,
 )
-from warpav.view import Canvas, drawing_of, figure_bytes
+from warpav.view import Canvas, checked_figure, drawing_of, figure_bytes
 
 _LIGHT_M = np.array([[x, y, 5.0] for x in (15.0, 20.0, 30.0, 40.0, 60.0) for y in (-3.5, 0.0, 3.5)])
 """Traffic lights: how far in front of the body, to the left, and how high [m]."""
@@ -61,10 +62,7 @@ class Item(NamedTuple):
 
 def check_rig_page(source: str, config: Config, *, requirements: str, out: Path) -> tuple[Path, list[Item]]:
     """Write a page that says whether a rig keeps requirements and design rules; its file and what was checked."""
-    if out.suffix.lower() != ".html":
-        raise ArgumentError("out", f"expected a page to write, such as check.html, got {str(out)!r}")
-    if not out.absolute().parent.is_dir():
-        raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    check_parent(checked_figure(out, (".html",)), "out")
     wanted, checks = read_requirements(requirements), read_checks(requirements)
     check_rig_source(source)
     ego, device = first_scene(config).ego, checked_device(config.device)
@@ -73,6 +71,7 @@ def check_rig_page(source: str, config: Config, *, requirements: str, out: Path)
     limits = limits_for(source, config)
     items = [
         *_required(met),
+        _on_body(rig, ego),
         *rule_items(rig, ego, limits, device, wanted=config.rules.limits),
         *_seen(rig, ego, checks, device),
     ]
@@ -98,6 +97,16 @@ def _required(met: RequirementResult) -> Iterator[Item]:
             None if asked is None else each.is_met,
             each.requirement.is_hard,
         )
+
+
+def _on_body(rig: Rig, ego: Mesh) -> Item:
+    """The camera that is deepest in the body or, where none is in it, farthest off the skin."""
+    off_m = off_skin_m(rig, ego)
+    spare_m = np.where(off_m < 0.0, off_m, OFF_SKIN_M - off_m)
+    k = int(spare_m.argmin())
+    found = f"{abs(off_m[k]):.2f} m {'inside' if off_m[k] < 0.0 else 'off'} ({rig.cameras[k].name})"
+    asked = f"at most {OFF_SKIN_M:g} m off the skin, none inside"
+    return Item("Cameras on the body", asked, found, f"{spare_m[k]:+.2f} m", bool(spare_m[k] >= 0.0), True)
 
 
 def rule_items(rig: Rig, ego: Mesh, limits: Rules, device: str, *, wanted: Rules | None = None) -> Iterator[Item]:
@@ -154,7 +163,6 @@ def _tolerated(rig: Rig, ego: Mesh, limits: Rules, checks: Checks, device: str) 
 
 
 def _seen(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
-    """Traffic lights, redundancy, and the loss of the camera that costs most."""
     front_m = float(np.asarray(ego.bounds_m())[1, 0])
     light_m = _LIGHT_M + np.array([front_m, Body.of(ego).centre_m[1], 0.0])
     share = float(sight(rig, light_m, level_ground(ego, device=device)).seen.any(axis=0).mean())
@@ -172,7 +180,6 @@ def _seen(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
 
 
 def _far(rig: Rig, ego: Mesh, checks: Checks, device: str) -> Iterator[Item]:
-    """How far ahead the cameras find road users of each class."""
     cameras, is_hard = [each for each in rig.cameras if each.model.beams is None], "far_m" in checks.hard
     try:
         if not cameras:

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.core.bounded_files import PNG_SIGNATURE, is_whole_png
 from warpav.core.errors import ArgumentError
-from warpav.core.files import writing
+from warpav.core.files import check_parent, writing
 from warpav.core.records import unread_text
 from warpav.detection import ROAD_USERS, Detections, OnnxDetector
 from warpav.runs._networks import load_detector
@@ -43,8 +43,7 @@ def check_detector(
         raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)
     target = None if image_file is None else checked_figure(out or Path(f"{image_file.stem}_boxes.png"), (".png",))
-    if target is not None and not target.absolute().parent.is_dir():
-        raise ArgumentError("out", f"expected an existing folder to write to, got {str(target.parent)!r}", place=target)
+    check_parent(target, "out")
     config = config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})})
     detector = load_detector(config, every_road_user=True)
     if not set(config.scenes.targets) <= set(detector.road_users):
@@ -87,7 +86,6 @@ def _description(detector: OnnxDetector) -> Iterator[str]:
 
 
 def _timings(detector: OnnxDetector) -> Iterator[str]:
-    """Time of an image, packing, network, boxes and suppression included."""
     rng = np.random.default_rng(0)
     own_px = detector.file.size_px or (_OWN_SIZE_PX, _OWN_SIZE_PX)
     for height_px, width_px in dict.fromkeys(((_SMALL_PX, _SMALL_PX), own_px)):
@@ -118,7 +116,6 @@ def _list(found: Detections, confidence_min: float) -> Iterator[str]:
 
 
 def _read_image(file: Path) -> np.ndarray:
-    """An image, uint8 [row, column, 3]."""
     import cv2
 
     try:
@@ -135,7 +132,6 @@ def _read_image(file: Path) -> np.ndarray:
 
 
 def _draw(image_rgb: np.ndarray, found: Detections, target: Path) -> None:
-    """Write a copy of an image with boxes and labels."""
     import cv2
 
     drawn = image_rgb.copy()

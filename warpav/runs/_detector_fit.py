@@ -69,9 +69,8 @@ if TYPE_CHECKING:
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 _TOWN_SEEDS = tuple(range(500_000, 500_050))
 _TOWN_HELD_OUT = tuple(range(500_050, 500_080))
-_MIN_FIT_SCENES = 20
+_MIN_FIT_SCENES = 20  # training scenes of the user's own with which a model can be fitted and evaluated
 _FEW = 0.05  # of the objects; a weak detector finds several times as many
-"""Training scenes of the user's own with which a model can be fitted and evaluated."""
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
 """What was fitted for detectors that are objects, by what it was fitted for."""
@@ -540,8 +539,6 @@ def _estimates(
 
 
 def _cells(found: _FitScores) -> list[str]:
-    """Its line of the table."""
-
     def text(number: Estimate) -> str:
         interval = "" if number.low is None else f" [{number.low:.3f}, {number.high:.3f}]"
         return f"{number.value:.3f}{interval}"
@@ -563,7 +560,6 @@ def _cells(found: _FitScores) -> list[str]:
 def _draw_reliability(
     scores: ProbabilityScores, probability: np.ndarray, is_detected: np.ndarray, stem: Path, name: str = ""
 ) -> None:
-    """Draw a reliability diagram to a file whose name begins so."""
     from warpav.view import reliability_diagram
 
     text = f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}"

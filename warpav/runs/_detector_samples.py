@@ -194,7 +194,6 @@ class _Sampling:
 
 
 def _samples_of(task: tuple[int, bytes, SceneRecipe, int]) -> DetectionSamples:
-    """What a task does in another process."""
     _, sampling, recipe, seed = task
     return _unpickled(sampling).samples(recipe, seed)
 
@@ -264,7 +263,6 @@ def _process_count(config: Config, scene_count: int) -> int:
 def _outcomes(
     sampling: _Sampling, tasks: Sequence[tuple[SceneRecipe, int]], process_count: int
 ) -> Iterator[tuple[int, DetectionSamples]]:
-    """Samples of scenes as they are there, each with the number of its task."""
     if process_count <= 1:
         yield from ((number, sampling.samples(*task)) for number, task in enumerate(tasks))
         return
@@ -306,14 +304,12 @@ def _kept_files(
 
 
 def _read_samples(file: Path | None) -> DetectionSamples | None:
-    """What is kept; None where nothing is that can be read."""
     with contextlib.suppress(*UNREADABLE):
         return None if file is None else DetectionSamples(**read_arrays(file)[0])
     return None
 
 
 def _keep_samples(samples: DetectionSamples, file: Path | None) -> None:
-    """Keep what was sampled, where that can be."""
     if file is not None:
         with contextlib.suppress(OSError):
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -321,7 +317,6 @@ def _keep_samples(samples: DetectionSamples, file: Path | None) -> None:
 
 
 def _about(seconds: float) -> str:
-    """A duration as one says it."""
     if seconds < 90.0:
         return f"about {max(1, round(seconds / 10.0)) * 10} seconds"
     if seconds < 5400.0:

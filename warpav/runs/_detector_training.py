@@ -146,7 +146,6 @@ def _number(value: float | None) -> str:
 
 
 def _made_folders(out: Path, image_folder: Path | None) -> Path:
-    """Make both folders, and return that of the images."""
     folders = {"out": out, "image-folder": out / "images" if image_folder is None else image_folder}
     for option, folder in folders.items():
         try:

@@ -15,7 +15,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import InputError
+from warpav.core.files import check_parent
 from warpav.core.warp_setup import load_warp
 from warpav.runs._environment import package_versions, required_packages
 
@@ -40,12 +41,7 @@ def examine(json_file: Path | None = None) -> int:
     """Run all checks, print each as it ends, and return the exit status: 1 when one failed, else 0."""
     from warpav.runs._terminal import Terminal, shown
 
-    if json_file is not None and not json_file.absolute().parent.is_dir():
-        raise ArgumentError(
-            place=json_file,
-            option="json",
-            text=f"expected an existing folder to write to, got {str(json_file.parent)!r}",
-        )
+    check_parent(json_file, "json")
     console = Terminal(soft_wrap=True)
     styles = {"ok": "green", "warning": "yellow", "failed": "red"}
     findings = []
@@ -87,7 +83,6 @@ def check_versions() -> Finding:
 
 
 def _check_devices() -> Finding:
-    """The devices that Warp sees."""
     wp = load_warp()
     names = {device.alias: device.name for device in wp.get_devices()}
     text = ", ".join(f"{alias} ({name})" for alias, name in names.items())
@@ -95,7 +90,6 @@ def _check_devices() -> Finding:
 
 
 def _check_cache() -> Finding:
-    """The folders in which Warp keeps compiled kernels, and warpav its scenes."""
     import tempfile
 
     from warpav.core.cache import user_cache_folder
@@ -169,7 +163,6 @@ def check_opengl() -> Finding:
 
 
 def _check_detector() -> Finding:
-    """Whether the shipped detector is there and answers."""
     import numpy as np
 
     from warpav.detection import OnnxDetector

@@ -226,7 +226,6 @@ def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  
 
 
 def _further(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    """From above, what each camera of the pool would add to the rig that was found."""
     from warpav.view import further_figure
 
     drawn = run.drawn(scene=scene)
@@ -240,7 +239,6 @@ def _further(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any: 
 
 
 def _gain(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    """The body of the vehicle painted by what one more camera would bring there, in its zones."""
     drawn = run.drawn(scene=scene)
     further = drawn.checked_further("gain")
     return drawing_of(drawn.rig, canvas, kind="view", scene=drawn.scene, mount_surface=drawn.surface, further=further)

@@ -80,7 +80,6 @@ class RigScorer:
     def _seen(
         self, camera: RigCamera, before: tuple[RigCamera, ...], scene: int
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """What a camera finds in a scene past the housings of others."""
         from warpav.optimisation import RigObserver
 
         options, probability_of = objective_options(self._config), self._probability_of

@@ -189,12 +189,7 @@ def weights_on(scenes: Sequence[DeviceScene], placement: Placement) -> np.ndarra
 
 
 def check_rig(
-    source: str,
-    config: Config,
-    *,
-    requirements: str,
-    json_file: Path | None = None,
-    image: Path | None = None,
+    source: str, config: Config, *, requirements: str, json_file: Path | None = None, image: Path | None = None
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets."""
     from warpav.view import checked_figure, requirement_map

@@ -222,20 +222,12 @@ def _by_cost(placement: Placement) -> list[_Step]:
     if not high > low:
         raise OptionError("rig.modules", f"expected modules to choose from, got one rig alone, of cost {low:g}")
     budgets = np.linspace(low, high, _MOST_BUDGETS)
-    return [
-        (
-            f"cost_{budget:.4g}",
-            limits.count[1],
-            limits.within(cost_max=float(budget)),
-        )
-        for budget in budgets
-    ]
+    return [(f"cost_{budget:.4g}", limits.count[1], limits.within(cost_max=float(budget))) for budget in budgets]
 
 
 def _searched(
     placement: Placement, steps: Sequence[_Step], progress: Progress, executor: Executor | None
 ) -> list[_FrontPoint]:
-    """The best rig of every step."""
     points: list[_FrontPoint] = []
     search: PoolRun | None = None
     for name, count, limits in progress.steps("rigs", steps, count=len(steps)):

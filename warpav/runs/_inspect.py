@@ -257,12 +257,7 @@ def serve_inspector(
 
 
 def write_inspector_page(
-    source: str,
-    config: Config,
-    out: Path,
-    *,
-    scene: Path | None = None,
-    scene_count: int = _PAGE_SCENES,
+    source: str, config: Config, out: Path, *, scene: Path | None = None, scene_count: int = _PAGE_SCENES
 ) -> Path:
     """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, switches for all."""
     from warpav.scene import DeviceScene
@@ -273,15 +268,12 @@ def write_inspector_page(
         Picture,
         add_coverage,
         add_range_rings,
-        load_k3d,
         patch_words,
         rig_plotter,
         save_page,
     )
 
-    if out.suffix.lower() != ".html":
-        raise ArgumentError("out", f"expected a name that ends in .html, got {str(out)!r}")
-    load_k3d()
+    check_suffix(checked_figure(out, (".html",)))
     seeds = config.scenes.test_seeds[:scene_count]
     shown = list(load_scenes(config, seeds)) if scene is None else [read_scene(scene)]
     rig = find_rig(source, config, shown[0].ego)
@@ -305,7 +297,6 @@ def write_inspector_page(
 
 
 def _modules(config: Config) -> tuple[Module, ...]:
-    """What cameras may be changed for: the modules of a run, or those of its catalogue."""
     from warpav.rig import BUILTIN, read_modules
 
     return rig_modules(config) or tuple(read_modules(config.rig.catalogue or BUILTIN).values())
@@ -322,7 +313,6 @@ def _check(requirements: str, config: Config) -> Callable[[Rig, Mesh], Requireme
 
 
 def _further(source: str, shown: str) -> FurtherCameras:
-    """What further cameras would add to the rig of a run."""
     found = RunFolder.open(source).further_cameras() if is_run_folder(source) else None
     if found is None:
         raise ArgumentError(

@@ -13,7 +13,7 @@ import numpy as np
 from warpav.core.cache import user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
 from warpav.core.executor import Executor
-from warpav.core.files import json_ready, write_json
+from warpav.core.files import check_parent, json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device, device_name
 from warpav.optimisation import Drawing, IterationRecord, LoadState, ObjectOutcome, PoolRun, SoiledPart
@@ -36,6 +36,7 @@ from warpav.runs.report._statements import verdict
 from warpav.runs.report.report import write_comparison
 from warpav.runs.report.tables import comparison_table
 from warpav.runs.robustness import load_states_of, soiling_of
+from warpav.view import checked_figure
 
 if TYPE_CHECKING:
     from warpav.scene import Scene
@@ -103,12 +104,7 @@ def optimise(
 
 
 def optimise_rig(
-    config: Config,
-    *,
-    name: str,
-    progress: Progress,
-    of: Placement | None = None,
-    test: Sequence[Scene] | None = None,
+    config: Config, *, name: str, progress: Progress, of: Placement | None = None, test: Sequence[Scene] | None = None
 ) -> tuple[RunFolder, Result, RunContent]:
     """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
 
@@ -217,13 +213,8 @@ def resume(
 
 
 def _run_to_the_end(
-    folder: RunFolder,
-    optimisation: Optimisation,
-    test: Sequence[Scene] | None,
-    timer: StageTimer,
-    progress: Progress,
+    folder: RunFolder, optimisation: Optimisation, test: Sequence[Scene] | None, timer: StageTimer, progress: Progress
 ) -> tuple[Result, RunContent]:
-    """Take the steps that are left, compare, and complete the folder."""
     write_rig(optimisation.start, folder.rig_path("initial"))
     with _kept_when_stopped(folder, optimisation, progress):
         optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
@@ -263,7 +254,6 @@ def _drawing(config: Config) -> Drawing:
 
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:
-    """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
     descent = optimisation.descent
     folder.append_event(record)
     if record.stage == "start":  # the best by hand is known now
@@ -277,7 +267,6 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
 
 
 def _write_rigs(folder: RunFolder, optimisation: Optimisation, roles: Sequence[Literal["best", "final"]]) -> None:
-    """Write the best rig so far, and the last one."""
     descent = optimisation.descent
     for role in roles:
         pose = descent.best.mount_pose if role == "best" else descent.mount_pose
@@ -285,7 +274,6 @@ def _write_rigs(folder: RunFolder, optimisation: Optimisation, roles: Sequence[L
 
 
 def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
-    """Write what a run that is stopped has beside its rigs."""
     descent, records = optimisation.descent, optimisation.records
     if descent.iteration != len(records):  # stopped between a step and its record: the last checkpoint stands
         return
@@ -325,10 +313,7 @@ def measure_rig(
 ) -> RunContent:
     """Metrics of a rig on the test scenes, written to a file if there is one."""
     names = arm_names(source, beside)
-    if json_file is not None and not json_file.absolute().parent.is_dir():
-        raise ArgumentError(
-            "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
-        )
+    check_parent(json_file, "json")
     folder = RunFolder.open(source) if is_run_folder(source) else None
     run, own_detector = (folder and read_evaluation(folder)), (folder and folder.environment().get("own_detector"))
     if own_detector and config.detector.model == "builtin":
@@ -375,10 +360,7 @@ def _measured_beside(
 
 def compare_rigs(sources: Sequence[str], config: Config, out: Path, *, again: str, progress: Progress) -> Path:
     """Write a page that stands alone with two or three rigs side by side, on the same test scenes."""
-    if out.suffix.lower() != ".html":
-        raise ArgumentError("out", f"expected a page to write, such as page.html, got {str(out)!r}")
-    if not out.absolute().parent.is_dir():
-        raise ArgumentError("out", f"expected an existing folder to write to, got {str(out.parent)!r}", place=out)
+    check_parent(checked_figure(out, (".html",)), "out")
     compared, placement = _side_by_side(sources, config, progress)
     assert compared.evaluation is not None
     return write_comparison(compared, comparison_figures(compared.evaluation, placement, progress), out, again)
@@ -410,7 +392,6 @@ def comparison_view(sources: Sequence[str], config: Config, *, progress: Progres
 
 
 def _side_by_side(sources: Sequence[str], config: Config, progress: Progress) -> tuple[RunContent, Placement]:
-    """Two or three rigs on the same test scenes."""
     if not 2 <= len(sources) <= 3 or len(set(sources)) < len(sources):
         raise InputError(f"command line: expected two or three different rigs, got {shlex.join(sources)}")
     names = arm_names(sources[0], sources[1:])

@@ -63,7 +63,6 @@ def camera_model(config: Config) -> CameraModel:
 
 
 def _near_m(config: Config) -> float:
-    """What is nearer to a camera is not seen [m]."""
     near_m = config.camera.near_m
     is_flush = config.mount.zones is not None or config.rig.modules is not None
     return min(near_m, _FLUSH_NEAR_M) if is_flush else near_m
@@ -240,7 +239,10 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
     elif config.rig.modules is not None:
         zones = propose_zones(ego)
     else:
-        zones = _top_zones(config)
+        height_m = config.rig.free.height_m or (config.rig.height_offset_m, config.rig.height_offset_m)
+        top = Zone("top", NORMALS["up"], stand_off_m=height_m)
+        ahead = dataclasses.replace(top, name="top_middle", is_centred=True)
+        zones = top, ahead, dataclasses.replace(ahead, name="top_middle_rear", yaw_rad=(math.pi, math.pi))
     if config.rig.is_symmetric and not any(zone.is_centred for zone in zones):
         all_round = any(module.beams and module.beams.is_all_round for module in rig_modules(config))
         zones = with_middles(zones, upwards=all_round)
@@ -260,14 +262,6 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
     if config.rig.is_symmetric:
         _check_mirrored(surface, ego)
     return surface
-
-
-def _top_zones(config: Config) -> tuple[Zone, ...]:
-    """Roof and bonnet as zones of plain cameras in pairs, and their middle."""
-    height_m = config.rig.free.height_m or (config.rig.height_offset_m, config.rig.height_offset_m)
-    top = Zone("top", NORMALS["up"], stand_off_m=height_m)
-    ahead = dataclasses.replace(top, name="top_middle", is_centred=True)
-    return top, ahead, dataclasses.replace(ahead, name="top_middle_rear", yaw_rad=(math.pi, math.pi))
 
 
 def roof_surface(config: Config, ego: Mesh) -> MountSurface:

@@ -250,7 +250,6 @@ def _panel_config(file: Path, config: Config) -> Config:
 
 
 def _description(file: Path) -> dict[str, object]:
-    """The options that the description of a network sets, if there is one."""
     if not file.is_file():
         return {}
     form, mistakes = read_form(_NetworkForm, file)

@@ -119,11 +119,7 @@ class Optimisation:
     """One run of the optimiser, step by step."""
 
     def __init__(
-        self,
-        placement: Placement,
-        descent: Descent | PoolRun,
-        pairing_rig: Rig | None,
-        starts: Sequence[np.ndarray],
+        self, placement: Placement, descent: Descent | PoolRun, pairing_rig: Rig | None, starts: Sequence[np.ndarray]
     ) -> None:
         """A run before its first step; ``starts`` are those of its descents, the first one's first."""
         self.placement = placement

@@ -199,41 +199,32 @@ class Placement:
             device: Warp device such as ``"cuda:0"``.
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
-            **options: ``fov_deg``: horizontal field of view of every camera [deg].
+            **options: Of these names:
 
-                ``ego``: the vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
-                vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or ``(vertices [n, 3], faces
-                [m, 3])``; None: the scenes' own.
-
-                ``zones``: YAML file of zones anywhere on the body, see `warpav.rig._zone.read_zones`; None: roof and
-                bonnet, of modules those that the body suggests.
-
-                ``modules``: camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its
-                number or a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal
-                cameras.
-
-                ``freeze``: names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer
-                cameras than ``cameras`` says; the others are added.
-
-                ``rig``: other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
-
-                ``losses``: weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses,
-                of `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
-
-                ``importance``: weights of road users, as in the section ``importance``:
-                ``{"category": {"pedestrian": 2.0}}``.
-
-                ``requirements``: what has to be seen near the vehicle: a YAML file, the name of a template such as
-                ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
-
-                ``robust``: whether the loss of a camera or errors of mounting count, as in the section ``robust``:
-                ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
-
-                ``fusion``: ``"any"`` sensor may find a road user; ``"both"``: a camera and a LiDAR must; ``60.0``: both
-                must nearer than so many metres.
-
-                ``probability``: the detector's model of detection probability, as `warpav.runs._detector_fit.fit` gives
-                it; None: the stored one, which is fitted first if there is none.
+                - ``fov_deg``: horizontal field of view of every camera [deg].
+                - ``ego``: the vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
+                  vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or ``(vertices [n, 3], faces
+                  [m, 3])``; None: the scenes' own.
+                - ``zones``: YAML file of zones anywhere on the body, see `warpav.rig._zone.read_zones`; None: roof and
+                  bonnet, of modules those that the body suggests.
+                - ``modules``: camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its
+                  number or a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal
+                  cameras.
+                - ``freeze``: names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer
+                  cameras than ``cameras`` says; the others are added.
+                - ``rig``: other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
+                - ``losses``: weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses,
+                  of `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+                - ``importance``: weights of road users, as in the section ``importance``:
+                  ``{"category": {"pedestrian": 2.0}}``.
+                - ``requirements``: what has to be seen near the vehicle: a YAML file, the name of a template such as
+                  ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
+                - ``robust``: whether the loss of a camera or errors of mounting count, as in the section ``robust``:
+                  ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
+                - ``fusion``: ``"any"`` sensor may find a road user; ``"both"``: a camera and a LiDAR must; ``60.0``:
+                  both must nearer than so many metres.
+                - ``probability``: the detector's model of detection probability, as `warpav.runs._detector_fit.fit`
+                  gives it; None: the stored one, which is fitted first if there is none.
 
         Raises:
             InputError: An argument cannot be used; the text names it.
@@ -365,20 +356,17 @@ class Placement:
             progress = progress or NullProgress()
             parts = self.parts
             networks = load_networks(self.config) if parts.detector is None else Networks(parts.detector, None)
-            scenes = self._loaded_scenes(progress)
+            if parts.scenes is None:
+                scenes = load_scene_set(self.config, progress)
+            else:
+                own = [scene for part in parts.scenes for scene in part]
+                steps = progress.steps("scenes", self.as_seen(own), count=len(own))
+                scenes = pack_scenes(steps, (len(parts.scenes[0]), len(parts.scenes[1])), self.config, progress)
             probability = parts.probability
             if probability is None and _needs_fit(self.config, parts.losses):
                 probability = _fitted(self.config, progress, detector=parts.detector, ego=parts.ego)
             self._prepared = _assembled(self, scenes, networks, probability)
         return self
-
-    def _loaded_scenes(self, progress: Progress) -> SceneSet:
-        if self.parts.scenes is None:
-            return load_scene_set(self.config, progress)
-        train, validation = self.parts.scenes
-        scenes = [*train, *validation]
-        steps = progress.steps("scenes", self.as_seen(scenes), count=len(scenes))
-        return pack_scenes(steps, (len(train), len(validation)), self.config, progress)
 
     @property
     def _ready(self) -> _Prepared:
@@ -662,7 +650,6 @@ def needed_fit(config: Config, progress: Progress) -> _DetectionProbabilities | 
 def _fitted(
     config: Config, progress: Progress, *, detector: Detector | None = None, ego: Mesh | None = None
 ) -> _DetectionProbabilities:
-    """The model of detection probability, or that of each module; arguments as of `ensure_fit`."""
     if config.rig.modules is None:
         return ensure_fit(config, detector=detector, ego=ego, progress=progress)
     config = fit_config(config, progress)  # once for all modules
@@ -675,7 +662,6 @@ def _fitted(
 
 
 def _needs_fit(config: Config, losses: Sequence[tuple[float, Loss]] | None = None) -> bool:
-    """Whether a loss needs the model of detection probability."""
     if losses is None:
         return config.losses.weights["expected_miss_rate"] > 0.0
     return any(loss.needs(LossSchedule()).detection_probability for _, loss in losses)
@@ -703,7 +689,6 @@ def _checked_start(config: Config, start: Rig | None, freeze: tuple[str, ...]) -
 
 
 def _checked_requirements(requirements: Sequence[Requirement], config: Config) -> tuple[Requirement, ...]:
-    """Requirements of an argument."""
     found = tuple(requirements)
     for each in found:
         if not isinstance(each, Requirement):
@@ -764,16 +749,8 @@ def _assembled(
     )
     train, others = assigned[:train_count], assigned[train_count:]
     validation_count = len(scenes.validation)
-    return _Prepared(
-        scenes,
-        networks,
-        probability,
-        objective,
-        segregation,
-        train,
-        others[:validation_count] or train,
-        others[validation_count:],
-    )
+    held = others[:validation_count] or train, others[validation_count:]
+    return _Prepared(scenes, networks, probability, objective, segregation, train, *held)
 
 
 def _camera_probabilities(
@@ -795,7 +772,6 @@ def _camera_probabilities(
 
 
 def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tuple[tuple[float, Loss], ...]:
-    """The losses of an argument, functions among them."""
     found = []
     for each in losses:
         if (

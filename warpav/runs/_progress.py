@@ -51,10 +51,7 @@ class RunDisplay:
         self._numbers: Table | None = None
         self._task: TaskID | None = None
         self._live = Live(
-            console=self.console,
-            refresh_per_second=REFRESH_PER_SECOND,
-            transient=True,
-            get_renderable=self._render,
+            console=self.console, refresh_per_second=REFRESH_PER_SECOND, transient=True, get_renderable=self._render
         )
 
     def __enter__(self) -> RunDisplay:
@@ -152,16 +149,12 @@ class RunDisplay:
 
     @property
     def _is_told(self) -> bool:
-        """Whether lines say what bars show elsewhere."""
         return self._verbose and not self.console.is_terminal
 
-    def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
+    def _start(self, description: str, count: int | None) -> None:
         if self._task is not None:
             self._bar.remove_task(self._task)
-        self._task = self._bar.add_task(shown(description).plain, total=count, completed=completed, speed="")
-
-    def _start(self, description: str, count: int | None) -> None:
-        self._replace_task(description, count)
+        self._task = self._bar.add_task(shown(description).plain, total=count, speed="")
         if self._is_told:
             self.say(description if count is None else f"{description}: {count}")
 

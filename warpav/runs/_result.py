@@ -230,11 +230,7 @@ class Result:
         return not isinstance(self._descent, PoolRun) and not self.found_objective <= self.start_objective
 
     def save(
-        self,
-        folder: str | Path,
-        *,
-        test: Sequence[Scene] | None = None,
-        progress: bool | Progress | None = None,
+        self, folder: str | Path, *, test: Sequence[Scene] | None = None, progress: bool | Progress | None = None
     ) -> Path:
         """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
 
@@ -355,12 +351,7 @@ class StageTimer:
 
 
 def complete_folder(
-    folder: RunFolder,
-    result: Result,
-    given: Sequence[Scene] | None,
-    *,
-    timer: StageTimer,
-    progress: Progress,
+    folder: RunFolder, result: Result, given: Sequence[Scene] | None, *, timer: StageTimer, progress: Progress
 ) -> RunContent:
     """Complete a run folder that has its iterations: rigs, evaluation, figures, report; ``given`` as of `save`."""
     from warpav.runs._run_figures import GROUND_SCENES, RunPictures
@@ -461,7 +452,6 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
 
 
 def _best_of_random(placement: Placement, progress: Progress) -> Rig:
-    """The best of some random rigs on some training scenes."""
     config, mount = placement.config, placement.mount
     samples, rng = config.baselines.random_samples, placement.random_numbers(Stream.SEARCH)
     chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)

@@ -92,7 +92,6 @@ def config_for(
 
 
 def _arm_name(source: str) -> str:
-    """What the rig of ``source`` is called in results."""
     return "optimised" if is_run_folder(source) else Path(source).stem
 
 
@@ -121,7 +120,6 @@ def rig_to_export(source: str) -> Rig:
 
 
 def _rig_file(source: str) -> Path:
-    """The file of the rig that a rig YAML, a preset or a run folder means."""
     return RunFolder.open(source).rig_file() if is_run_folder(source) else find_rig_file(source)
 
 

@@ -94,7 +94,6 @@ class RunPictures:
             self._draw_further()
 
     def _draw_few(self) -> None:
-        """The pictures of the first page, but for the rig."""
         drawn = self._drawn
         has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
         self._plot(drawn, "search", "search" if has_search else "loss_curves")
@@ -103,7 +102,6 @@ class RunPictures:
         detections_sheet(seen, self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
-        """All other pictures."""
         from warpav.view import requirement_map
 
         placement, drawn = self.placement, self._drawn
@@ -151,7 +149,6 @@ class RunPictures:
         plot(shown, kind=kind, out=self.folder.figure_path(name or kind), **options)
 
     def _draw_rig(self) -> None:
-        """Start and result on the vehicle in the first test scene, side by side."""
         drawn = self._drawn
         images = rig_images(drawn.rigs, self.scene, {id(self.found): trajectory(drawn.events)})
         save_rgb(np.hstack(images), self.folder.figure_path("rig"))

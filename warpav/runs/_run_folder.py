@@ -454,7 +454,6 @@ def _event_line(event: Mapping[str, Any]) -> str:
 
 
 def _metrics_rows(events: Sequence[Mapping[str, Any]], *, with_names: bool) -> str:
-    """The rows of ``metrics.csv`` of some iterations."""
     text = io.StringIO()
     for event in events:
         row = flat_numbers(event)
@@ -467,7 +466,6 @@ def _metrics_rows(events: Sequence[Mapping[str, Any]], *, with_names: bool) -> s
 
 
 def _iterations_of(evaluation: object) -> int:
-    """How many iterations ``evaluation.json`` speaks of; 0 where it does not."""
     descent = evaluation.get("descent") if isinstance(evaluation, dict) else None
     count = descent.get("iterations") if isinstance(descent, dict) else None
     return count if isinstance(count, int) else 0

@@ -184,7 +184,6 @@ def prepare_scenes(config: Config, progress: Progress) -> None:
 
 
 def _seeds(config: Config) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    """Of training, validation and test."""
     return config.scenes.train_seeds, config.scenes.validation_seeds or (), config.scenes.test_seeds
 
 
@@ -363,7 +362,6 @@ def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
 
 
 def _traffic_fleet(config: Config) -> Fleet | None:
-    """The vehicles of ``scenes.vehicles``; None where there are none."""
     scenes = config.scenes
     if scenes.vehicles is None:
         return None
@@ -494,7 +492,6 @@ def places_of(config: Config) -> tuple[tuple[str, ...], tuple[str, ...], tuple[s
 
 
 def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:
-    """The files of scenes in the configured folder."""
     assert config.scenes.folder is not None
     files = [scene_path(config.scenes.folder, seed) for seed in seeds]
     missing = [file for file in files if not file.is_file()]
@@ -536,7 +533,6 @@ def _left_out_text(name: str, count: int) -> str:
 
 
 def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:
-    """Say which targets no scene holds."""
     there = {ROAD_USERS[kind] for scene in scenes for kind in scene.road_user_index}
     absent = [target for target in targets if target not in there]
     if not absent:

@@ -38,12 +38,7 @@ _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a 
 
 
 def build_scenes(
-    seeds: Sequence[int],
-    out: Path,
-    *,
-    level: Level = "easy",
-    fleet: Fleet | None = None,
-    executor: Executor,
+    seeds: Sequence[int], out: Path, *, level: Level = "easy", fleet: Fleet | None = None, executor: Executor
 ) -> int:
     """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status."""
     tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level, fleet)) for seed in seeds]
@@ -51,12 +46,7 @@ def build_scenes(
 
 
 def build_traffic_scenes(
-    recordings: Sequence[Path],
-    seeds: Sequence[int],
-    out: Path,
-    *,
-    fleet: Fleet | None = None,
-    executor: Executor,
+    recordings: Sequence[Path], seeds: Sequence[int], out: Path, *, fleet: Fleet | None = None, executor: Executor
 ) -> int:
     """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status."""
     files = recordings_in(recordings) if recordings else shipped_recordings()
@@ -71,21 +61,14 @@ def build_traffic_scenes(
 def _build(tasks: Sequence[SceneTask], out: Path, executor: Executor) -> int:
     check_folder(out, "out")
     status = _show_outcomes(
-        "building scenes",
-        ((str(outcome.task.file), outcome) for outcome in make_scenes(tasks, executor)),
-        len(tasks),
+        "building scenes", ((str(outcome.task.file), outcome) for outcome in make_scenes(tasks, executor)), len(tasks)
     )
     _say_split(tasks, out)
     return status
 
 
 def record_scenes(
-    config: Config,
-    seeds: Sequence[int],
-    out: Path,
-    *,
-    server: tuple[str, int] | None,
-    executor: Executor,
+    config: Config, seeds: Sequence[int], out: Path, *, server: tuple[str, int] | None, executor: Executor
 ) -> int:
     """Record situations that are not recorded yet; returns the exit status."""
     check_folder(out, "out")
@@ -155,7 +138,6 @@ def show_scene(source: str, out: Path | None, level: Level | None = None, fleet:
 
 
 def _show_outcomes(title: str, outcomes: Iterable[tuple[str, Outcome[Any, bool]]], count: int) -> int:
-    """Report the outcome of every task, and the rejected ones once more at the end."""
     rejected: list[str] = []
     with RunDisplay() as display:
         for name, outcome in display.steps(title, outcomes, count=count):

@@ -48,7 +48,6 @@ class Terminal(Console):
     """A console without markup, emojis and highlights, whose texts a terminal cannot obey, wherever they come from."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 (rich's own)
-        """A console with rich's further options."""
         super().__init__(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
 
     def width_of(self, renderable: RenderableType) -> int:

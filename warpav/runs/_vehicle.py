@@ -139,7 +139,6 @@ def check_vehicle(
 
 
 def _with_colours(found: Examination, path: str | Path, reading: Reading) -> Examination:
-    """The same vehicle in as many triangles as its textures take."""
     return replace(found, mesh=read_vehicle_file(file_of(path)).in_ego_frame(reading))
 
 

@@ -27,7 +27,6 @@ from warpav.view._output import check_suffix as check_suffix
 from warpav.view._output import render_rgb as render_rgb
 from warpav.view._output import save_page as save_page
 from warpav.view._output import save_rgb as save_rgb
-from warpav.view._page import load_k3d as load_k3d
 from warpav.view._palette import CAMERA_RGB as CAMERA_RGB
 from warpav.view._palette import PAPER_RGB as PAPER_RGB
 from warpav.view._picture import WIDE_ZOOM as WIDE_ZOOM

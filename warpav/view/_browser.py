@@ -144,7 +144,6 @@ class _Page:
 
     @contextlib.contextmanager
     def _panel_beside(self, plotter: Any) -> Iterator[None]:  # noqa: ANN401 (of pyvista)
-        """What is made within stands in the panel, beside the view of a plotter."""
         from trame.ui.vuetify3 import VAppLayout
         from trame.widgets import vtk
 
@@ -229,7 +228,6 @@ class BrowserInspector(_Page):
     # ------------------------------------------------------------------------------------------------- what users do
 
     def _typed(self, number: str, text: str) -> None:
-        """Set a number of the chosen camera's pose."""
         try:
             self.inspector.edit_chosen("pose", **{number: float(text)})
         except ValueError:
@@ -247,7 +245,6 @@ class BrowserInspector(_Page):
     # --------------------------------------------------------------------------------------- in the background
 
     def _judge(self) -> None:
-        """From now on say what constraints and rules say, and score: after the first picture, which is the sooner."""
         self._is_judged = True
         self._follow()
 
@@ -278,7 +275,6 @@ class BrowserInspector(_Page):
         done.add_done_callback(lambda done: number == self._scoring and loop.call_soon_threadsafe(show, done))
 
     def _begin(self, what: str) -> None:
-        """Begin a search with the rig as it is now."""
         if self._job is None and self._search is not None:
             self.state.update({"searched": _SEARCHES[what], "share": 0.0, "found": "starts"})
             self._last = None
@@ -286,7 +282,6 @@ class BrowserInspector(_Page):
             asyncio.get_running_loop().call_later(_AGAIN_S, self._watch)
 
     def _watch(self) -> None:
-        """Show what a search has come to; at its end its rig is the next step."""
         if self._job is None:
             return
         with self.state as state:
@@ -300,7 +295,6 @@ class BrowserInspector(_Page):
         asyncio.get_running_loop().call_later(_AGAIN_S, self._watch)
 
     def _end(self) -> None:
-        """End a search, and take the best that it has found so far."""
         if self._job is not None:
             self._job.stop()
             self._job, self.state.searched = None, ""
@@ -310,14 +304,12 @@ class BrowserInspector(_Page):
     # ------------------------------------------------------------------------------------------------- what is shown
 
     def _tell(self, text: str) -> None:
-        """Show lines in the panel, and what else follows from the rig while a camera is dragged."""
         self.state.lines = text.splitlines()
         if hasattr(self, "_update"):
             self._quiet_until = time.monotonic() + _QUIET_S
             self._follow()
 
     def _follow(self) -> None:
-        """Show in the controls what the inspector shows."""
         inspector, shown = self.inspector, self.inspector.state
         edits, chosen = shown.edits, inspector.chosen
         with self.state as state:
@@ -424,7 +416,6 @@ class BrowserInspector(_Page):
         html.Div("Click a ball to look through its camera, drag it along the skin.", classes="text-caption mt-2")
 
     def _make_findings(self, which: str) -> None:
-        """A list of what constraints and rules say, each with what is asked."""
         colour = "each.is_kept === false ? 'error' : each.is_kept ? 'success' : 'grey'"
         icon = "{{ each.is_kept === null ? 'mdi-information' : `mdi-${each.is_kept ? 'check' : 'alert'}-circle` }}"
         words = "{{ each.about }}: {{ each.found }}{{ each.asked ? ', ' + each.asked : '' }}"
@@ -496,9 +487,6 @@ class BrowserComparison(_Page):
     def _show(self, name: str, value: int) -> None:
         self.shown[name] = value
 
-    def _toggle(self, rig: int) -> None:
-        self.hidden ^= {rig}
-
     def _follow(self) -> None:
         plotter, rigs, height_m = self.plotter, self.compared.rigs, SHOWN_HEIGHTS_M[self.shown["height"]]
         cameras = [camera for rig in rigs.values() for camera in rig.cameras]
@@ -546,7 +534,7 @@ class BrowserComparison(_Page):
                 html.Div(style=("`width: 14px; height: 14px; margin: 3px 6px 0 0; background: ${each.colour}`",))
                 html.Div("{{ each.who }}: {{ each.area }}, {{ each.users }} road user{{ each.users === 1 ? '' : 's' }}")
             for k, name in enumerate(compared.rigs):
-                toggled = partial(self._do, self._toggle, k)
+                toggled = partial(self._do, self.hidden.symmetric_difference_update, {k})
                 options = {"label": f"cameras of {name}", "color": hex_colour(camera_rgb(k)), "classes": "ml-2"}
                 v.VSwitch(v_model=(f"shows_{k}", True), update_modelValue=toggled, **options, **_SMALL)
 
@@ -568,7 +556,6 @@ def _or_off(action: Callable[[Any], object], wanted: Any) -> None:  # noqa: ANN4
 
 
 def _new_server() -> tuple[Server, Any, Any]:
-    """A server of its own, and the widgets of its page: those of HTML and of Vuetify."""
     try:
         from trame.app import get_server
         from trame.widgets import html, vtk, vuetify3  # noqa: F401 (asked for before anything is made)
@@ -582,7 +569,6 @@ def _new_server() -> tuple[Server, Any, Any]:
 
 @contextlib.contextmanager
 def _environment(name: str, value: str) -> Iterator[None]:
-    """A variable of the environment for a while."""
     before = os.environ.get(name)
     os.environ[name] = value
     try:

@@ -259,7 +259,6 @@ class EditedRig:
         return self.replace(Rig(cameras), camera, held=held)
 
     def _added(self, camera: RigCamera, name: str) -> Edit:
-        """A camera more, with a number behind the name where that is taken."""
         taken = {each.name.casefold() for each in self.rig.cameras}
         stem = re.sub(r"_\d+$", "", name)
         names = itertools.chain([name], (f"{stem}_{number}" for number in itertools.count(2)))
@@ -274,7 +273,6 @@ class EditedRig:
         return dataclasses.replace(camera, model=model, module=name, housing=module.housing)
 
     def _is_on(self, point_m: np.ndarray) -> bool:
-        """Whether a camera at a point stands on a place that may carry one."""
         place_m, above_m = self._surface.place_of(self._surface.left_of(point_m))
         return bool(self._constraints.contains(place_m[None])[0]) and abs(float(above_m)) <= _STANDS_M
 
@@ -285,7 +283,6 @@ class EditedRig:
     def _place(
         self, wanted_m: np.ndarray, outward: np.ndarray | None, old: RigCamera | None = None
     ) -> tuple[np.ndarray, Pane | None]:
-        """Where a camera stands whose place shall be a point, and what it looks through there."""
         surface = self._surface
         at_m = self._constraints.project(surface.place_of(surface.left_of(wanted_m))[0][None])[0]
         foot_m = surface.point_m(at_m, float(surface.height_at_m(at_m[None])[0]))

@@ -57,7 +57,6 @@ class InspectedRig:
         judge: Callable[[Rig], Sequence[Finding]] | None = None,
         device: str = "cpu",
     ) -> None:
-        """Begin with the last frame and the first scene."""
         if not frames or scene_count < 1:
             raise ValueError(f"expected at least one rig and one scene, got {len(frames)} and {scene_count}")
         if descents and len(descents) != len(frames):

@@ -207,7 +207,10 @@ class Inspector:
         """Take a step of `EditedRig` by its name, such as ``undo``; the camera that it was about is chosen."""
         edit = getattr(self.state.edits, step)(*words, **numbers)
         self.chosen = edit.camera
-        self._after_change()
+        with self._one_render():
+            self._move()
+            self._draw(*_PARTS, "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
+            self._redraw()
 
     def edit_chosen(self, step: str, *words: Any, **numbers: Any) -> None:  # noqa: ANN401 (of the step)
         """Take a step about the chosen camera, if there is one."""
@@ -312,7 +315,6 @@ class Inspector:
             plotter.add_key_event(key, partial(self._attempt, action))
 
     def _attempt(self, action: Callable[[], object]) -> None:
-        """Do what a key stands for; what keeps it from being done is said in the window."""
         try:
             action()
         except InputError as error:
@@ -330,14 +332,12 @@ class Inspector:
         command = interactor.GetCommand(interactor.AddObserver(event, hear, 1.0))
 
     def _add_ball(self, index: int) -> None:
-        """A ball around a camera, by which it is dragged; it moves with what else is drawn of the camera."""
         camera = self.state.rig.cameras[index]
         ball = load_pyvista().Sphere(radius=_BALL_RADIUS_M, center=camera.position_m)
         name = f"rig/{camera.name}/ball"
         self.plotter.add_mesh(ball, color=hex_colour(camera_rgb(index)), ambient=0.4, name=name, reset_camera=False)
 
     def _add_label(self, index: int) -> Any:  # noqa: ANN401 (a pyvista.Label)
-        """The name of a camera above its frustum."""
         camera = self.state.rig.cameras[index]
         label = load_pyvista().Label(f" {camera.name} ", position=tuple(label_point_m(camera)), size=14)
         label.prop.color = "white"
@@ -351,17 +351,14 @@ class Inspector:
 
     @contextmanager
     def _one_render(self) -> Iterator[None]:
-        """Draw once when all is changed, instead of after every change."""
         with no_render(self.plotter):
             yield
         self.plotter.render()
 
     def _mouse_px(self) -> np.ndarray:
-        """Where the mouse is, column and row from the lower left corner."""
         return np.array(self.plotter.iren.interactor.GetEventPosition(), np.float64)
 
     def _shown_px(self, point_m: np.ndarray) -> np.ndarray:
-        """The same of points [point, 3]."""
         return np.abs(project_px(self.plotter, point_m) - [0.0, self.plotter.window_size[1]])
 
     def _pointed(self) -> tuple[np.ndarray, np.ndarray | None] | None:
@@ -398,7 +395,6 @@ class Inspector:
         return True
 
     def _moved(self) -> bool:
-        """Move the camera whose ball is held; what needs the detector waits for its release."""
         if self._held is None:
             return False
         found, self._is_moved = self._pointed(), True
@@ -409,7 +405,6 @@ class Inspector:
         return True
 
     def _released(self) -> bool:
-        """Let go of a ball, or put a camera."""
         held, found = self._held, self._pointed()
         if held is not None and found is not None:
             if self._is_moved:
@@ -423,7 +418,6 @@ class Inspector:
         return True
 
     def _follow(self, camera: int, position_m: np.ndarray, outward: np.ndarray | None = None) -> None:
-        """What a drag changes, not yet drawn."""
         was_known = self.state.descent is not None or self.state.further is not None
         self.state.edits.move(camera, position_m, outward, held=True)
         self._draw_camera(camera)
@@ -433,14 +427,7 @@ class Inspector:
             self._draw_visibility([camera], rays=_DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
-    def _after_change(self) -> None:
-        with self._one_render():
-            self._move()
-            self._draw(*_PARTS, "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
-            self._redraw()
-
     def _move(self) -> None:
-        """Draw cameras where they are now; others than were drawn are drawn again."""
         cameras = self.state.rig.cameras
         if self.chosen is not None and self.chosen >= len(cameras):
             self.chosen = None
@@ -458,7 +445,6 @@ class Inspector:
             self._draw_camera(index)
 
     def _draw_camera(self, index: int) -> None:
-        """Move what is drawn of a camera to where it is now; only another lens is drawn again."""
         camera, drawn = self.state.rig.cameras[index], self._drawn[index]
         if camera.model == drawn.model:
             moved = camera.ego_from_camera @ np.linalg.inv(drawn.ego_from_camera)
@@ -473,7 +459,6 @@ class Inspector:
         self._labels[index].position = tuple(label_point_m(camera))
 
     def _draw(self, *parts: str) -> None:
-        """Draw parts of the picture as they are now, or take them away."""
         state, plotter, shows = self.state, self.plotter, self.shows
         for part in parts:
             if part == "rings":
@@ -502,7 +487,6 @@ class Inspector:
                 self.plotter.remove_actor(f"visibility/{camera.name}")
 
     def _redraw(self, *, detector: bool = True) -> None:
-        """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
         self._draw_coverage()
         self._say("\n".join(self._lines(detector=detector)))
         self._draw_view(detector=detector)
@@ -510,7 +494,6 @@ class Inspector:
             add_requirements(self.plotter, self.state.requirements if "requirements" in self.shows else None)
 
     def _lines(self, *, detector: bool = True) -> list[str]:
-        """What the corner says."""
         lines = self.state.lines
         if self.shown_height is not None:
             coverage, height_m = self._shown_coverage(self.shown_height)
@@ -559,7 +542,6 @@ class Inspector:
         self._numbers.input = text
 
     def _draw_view(self, *, detector: bool = True) -> None:
-        """The image of the chosen camera with its boxes, in the lower right corner."""
         if self.chosen is None:
             self.plotter.remove_actor("view")
             self._view = None
@@ -572,7 +554,6 @@ class Inspector:
         self._put_view()
 
     def _put_view(self) -> None:
-        """Put the image of the chosen camera into the corner of the window as it is now."""
         if self._view is not None:
             width_px = self._view.GetMapper().GetInput().GetDimensions()[0]
             self._view.SetPosition(self.plotter.render_window.GetSize()[0] - 16 - width_px, 44)
@@ -597,7 +578,6 @@ class Inspector:
 def _framed_view(
     shown_rgb: np.ndarray, observed: CameraObservation | None, border_rgb: tuple[int, int, int]
 ) -> np.ndarray:
-    """A camera's image with a coloured border, and boxes where they are known, uint8 [row, column, 3]."""
     import cv2
 
     scale = _VIEW_PX / max(shown_rgb.shape[:2])
@@ -626,7 +606,6 @@ def _image(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a pyvista.ImageData)
 
 
 def _image_actor() -> Any:  # noqa: ANN401 (a vtkActor2D)
-    """An image in the plane of the window, with its lower left corner in that of the window."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
     mapper = vtkImageMapper()

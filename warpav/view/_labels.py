@@ -17,7 +17,6 @@ class Labels:
     """What is taken of a plane, in boxes of lowest and highest corner, [box, 4]; labels stay within one, if given."""
 
     def __init__(self, taken: Any = (), *, within: Any = (-math.inf, -math.inf, math.inf, math.inf)) -> None:  # noqa: ANN401
-        """Begin with boxes that are taken."""
         self._taken, self._weight, self._within = np.zeros((0, 4)), np.zeros(0), np.asarray(within, np.float64)
         self.take(taken)
 

@@ -55,7 +55,6 @@ def mesh_to_pyvista(mesh: Mesh) -> PolyData:
 
 
 def _faces_to_pyvista(corner_m: np.ndarray, sides: int = 4) -> PolyData:
-    """Faces of so many corners each that share none, from their corners [m], in order [corner, 3]."""
     return load_pyvista_data().PolyData.from_regular_faces(corner_m, np.arange(len(corner_m)).reshape(-1, sides))
 
 
@@ -390,7 +389,6 @@ def zones_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
 
 
 def _zone_names(surface: MountSurface) -> list[str]:
-    """Names of a surface's zones in their order, each once."""
     return list(dict.fromkeys(zone.name for zone in surface.zones)) or [WHOLE]
 
 
@@ -531,7 +529,6 @@ def add_descent(plotter: Plotter, rig: Rig, descent: Steepest | None, surface: M
 
 
 def _arrow(curve_m: np.ndarray) -> PolyData:
-    """An arrow along a curve [m], shape [point, 3], with a tip at its end."""
     pyvista = load_pyvista()
     length_m = np.linalg.norm(np.diff(curve_m, axis=0), axis=1).sum()
     tip_m = min(3.0 * _TIP_M, 0.6 * float(length_m))

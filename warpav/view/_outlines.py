@@ -32,7 +32,6 @@ def image_corners(model: CameraModel, *, depth_m: float) -> np.ndarray:
 
 
 def _outermost_ray(model: CameraModel, start_px: list[float]) -> np.ndarray:
-    """The first ray on the line from a point of the image to its middle."""
     middle_px = 0.5 * np.array([model.width_px, model.height_px])
     ray = model.rays(start_px + _TOWARDS_MIDDLE[:, None] * (middle_px - start_px))
     seen = np.isfinite(ray[:, 0])

@@ -79,7 +79,6 @@ class _Page:
                 self._add_labels(actor, tags)
 
     def _add_labels(self, actor: Any, tags: _Tags) -> None:  # noqa: ANN401 (a vtkActor2D)
-        """Names that pyvista places so that none hides another."""
         mapper = actor.GetMapper()
         named = load_pyvista().wrap(mapper.GetInputConnection(0, 0).GetProducer().GetInputDataObject(0, 0))
         shape_rgb = [round(255 * each) for each in mapper.GetBackgroundColor()]
@@ -203,7 +202,6 @@ def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str]
 
 
 def _tags_of(name: str) -> dict[str, str]:
-    """What of the panel switches an actor, by its name."""
     part = name.removesuffix(_LABELS).split("/")
     if part[0] in ("rig", "label") and len(part) > 1:
         is_name = part[0] == "label" or part[-1] == "label"
@@ -217,7 +215,6 @@ def _tags_of(name: str) -> dict[str, str]:
 
 
 def _colours(surface: Any, actor: Any) -> np.ndarray | None:  # noqa: ANN401 (of pyvista)
-    """Colours at the corners of triangles, uint8 [corner, 3 or 4]; None where all have that of the actor."""
     mapper = actor.mapper
     if not mapper.scalar_visibility:
         return None

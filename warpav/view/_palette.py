@@ -18,6 +18,8 @@ CAMERA_RGB: tuple[Rgb, ...] = (
     (214, 160, 0),  # gold
     (0, 158, 206),  # sky
     (142, 94, 58),  # brown
+    (126, 162, 32),  # olive
+    (84, 96, 116),  # slate
 )
 
 PAPER_RGB: Rgb = (255, 255, 255)
@@ -84,7 +86,7 @@ def zone_rgb(index: int) -> Rgb:
 
 
 def camera_rgb(index: int) -> Rgb:
-    """Colour of the camera with this index, from 0; the colours repeat after the eighth."""
+    """Colour of the camera with this index, from 0; the colours repeat after the tenth."""
     return CAMERA_RGB[index % len(CAMERA_RGB)]
 
 

@@ -247,7 +247,6 @@ def _taken_px(plotter: Plotter, title: str | None, *, has_scale: bool) -> np.nda
 def _look_at(
     plotter: Plotter, bounds_m: np.ndarray, *, azimuth_rad: float, elevation_rad: float, zoom: float = 1.0
 ) -> None:
-    """Point the plotter's camera at a vehicle, by its lowest and highest corner [m], shape [2, 3]."""
     low, high = np.asarray(bounds_m, np.float64)
     target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
     level, distance = math.cos(elevation_rad), 4.1 * float(high[0] - low[0]) / zoom
@@ -289,7 +288,6 @@ def project_px(plotter: Plotter, point_m: np.ndarray) -> np.ndarray:
 def _add_ground(
     plotter: Plotter, bounds_m: np.ndarray, *, height_m: float = 0.0, shadow: bool = True, rings: bool = True
 ) -> None:
-    """Add a plain ground around a vehicle's bounds that fades into the background."""
     low, high = np.asarray(bounds_m, np.float64)
     middle = (low[:2] + high[:2]) / 2
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
@@ -334,7 +332,6 @@ def add_range_rings(
 
 
 def _add_axes(plotter: Plotter, *, length_m: Sequence[float] | np.ndarray, thick: float = 1.0) -> None:
-    """Add the axes of the ego frame at its origin, with their names."""
     pyvista = load_pyvista()
     tips = []
     for axis, (label, colour) in enumerate(_AXIS_RGB.items()):
@@ -432,7 +429,6 @@ def ground_rings_m(camera: RigCamera) -> list[np.ndarray]:
 
 
 def _in_ego_m(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-    """Points of camera coordinates [point, 3] in the ego frame [m]."""
     transform = np.asarray(camera.ego_from_camera, np.float64)
     return np.asarray(point_m) @ transform[:3, :3].T + transform[:3, 3]
 
@@ -502,7 +498,6 @@ def label_point_m(camera: RigCamera, depth_m: float = FRUSTUM_DEPTH_M) -> np.nda
 
 
 def _add_names(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float, taken_px: np.ndarray) -> None:
-    """Names above the frustums, put so that none hides another from the present view."""
     wanted_m = np.array([label_point_m(camera, depth_m) for camera in cameras])
     scale = min(1.0, max(0.5, plotter.window_size[0] / WINDOW_PX[0]))
     size_px = scale * np.array([[9.5 * len(camera.name) + 14.0, 28.0] for camera in cameras])
@@ -581,7 +576,6 @@ def _bounds_without_ego_m(cameras: Sequence[RigCamera]) -> np.ndarray:
 
 
 def _lowest_m(scene: Scene) -> float:
-    """Height of the lowest ground within the haze [m], at most 0: a street may run downhill."""
     low, high = scene.ego.bounds_m().astype(np.float64)
     near = np.linalg.norm(scene.environment.vertex_m[:, :2] - (low[:2] + high[:2]) / 2, axis=1) < _HAZE_END_M
     return float(scene.environment.vertex_m[near, 2].min(initial=0.0))
@@ -598,7 +592,6 @@ def _haze(distance_m: np.ndarray) -> np.ndarray:
 
 
 def _blend(colour_rgb: np.ndarray, share: float | np.ndarray) -> np.ndarray:
-    """Colours moved towards the background by ``share``, uint8."""
     share = np.broadcast_to(np.asarray(share, dtype=np.float64), (len(colour_rgb),))[:, None]
     return np.rint(np.asarray(colour_rgb) * (1.0 - share) + np.asarray(PAPER_RGB) * share).astype(np.uint8)
 

@@ -75,7 +75,6 @@ def kinds_of(cls: type) -> dict[str, Kind]:
 
 
 def _checked_kind(cls: type, kind: str | None) -> Kind:
-    """A kind of a class by its name; None: the usual one."""
     kinds = kinds_of(cls)
     if not kinds:
         known = sorted(each.__name__ for each in _KINDS)
@@ -212,7 +211,6 @@ def plot(
 def _split(
     options: Mapping[str, Any], kind: Kind, obj: object, *, is_file: bool
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The options of an object's class and those of ``pyvista.Plotter.show``."""
     takes = kind.options
     own = {name: value for name, value in options.items() if name in takes}
     of_show = {name: value for name, value in options.items() if name not in takes}
@@ -242,7 +240,6 @@ def _show(plotter: Plotter, options: Mapping[str, Any], *, off_screen: bool | No
 
 
 def _deliver_figure(figure: Any, canvas: Canvas) -> Any:  # noqa: ANN401 (matplotlib)
-    """Write a figure of matplotlib, or show it: as an image in a notebook, else in the system's viewer of images."""
     import io
 
     from PIL import Image
@@ -325,7 +322,6 @@ _GEOMETRIC = ("ground", "near_field")
 
 
 def _cameras_of(rig: Rig, kind: str) -> Rig:
-    """The rig without its LiDARs, which have no images."""
     cameras = [each for each in rig.cameras if each.model.beams is None]
     if not cameras:
         raise ArgumentError("rig", f"expected a rig with a camera for kind={kind!r}, got LiDARs alone; ask for points")
@@ -359,7 +355,6 @@ def _draw_points(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Sc
 
 
 def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
-    """One rig or several as several by name."""
     if isinstance(rig, Rig):
         return {"rig": rig}
     if not rig:
@@ -380,7 +375,6 @@ def _with_widths(rigs: Mapping[str, Rig]) -> dict[str, Rig]:
 
 
 def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:
-    """The vehicle that a plot asks for: the given one, else that of the scene."""
     vehicle = Picture(ego=ego, scene=scene).vehicle
     if vehicle is None:
         hint = "give ego=wa.read_vehicle(...) or scene=..."

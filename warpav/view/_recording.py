@@ -106,7 +106,6 @@ def _mesh(rerun: Any, mesh: Mesh) -> Any:  # noqa: ANN401 (rerun)
 
 
 def _log_camera(rerun: Any, recording: Any, camera: RigCamera, index: int, *, static: bool) -> None:  # noqa: ANN401 (rerun)
-    """The pose of a camera and what it sees, in its own frame."""
     transform, model, colour = camera.ego_from_camera, camera.model, camera_rgb(index)
     pose = rerun.Transform3D(translation=transform[:3, 3], mat3x3=transform[:3, :3])
     recording.log(f"rig/{camera.name}", pose, static=static)
@@ -177,5 +176,4 @@ def run_animation(
 
 
 def _shown_iterations(count: int) -> list[int]:
-    """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
     return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, _MAX_FRAMES))})

@@ -14,10 +14,7 @@ from warpav.view import mount_drawing
 from warpav.view.drawing._dxf import BLOCK, LAYERS
 
 RIG = Rig(
-    [
-        *rig().cameras,
-        RigCamera("low", np.array([-0.95, -0.4, 0.6]), math.pi, math.radians(12.0), math.radians(-3.0)),
-    ]
+    [*rig().cameras, RigCamera("low", np.array([-0.95, -0.4, 0.6]), math.pi, math.radians(12.0), math.radians(-3.0))]
 )
 
 
@@ -48,11 +45,7 @@ def test_every_camera_is_at_its_coordinates_in_every_view(written, document):
     drawing, _ = written
     datum = {view.name: drawing.scale * (view.datum_mm - drawing.views[0].datum_mm) for view in drawing.views}
     assert datum["left"].tolist() == [0.0, 0.0]
-    seen = {
-        "left": lambda x, y, z: (-x, z),
-        "front": lambda x, y, z: (y, z),
-        "top": lambda x, y, z: (-x, -y),
-    }
+    seen = {"left": lambda x, y, z: (-x, z), "front": lambda x, y, z: (y, z), "top": lambda x, y, z: (-x, -y)}
     inserts = document.modelspace().query(f'INSERT[name=="{BLOCK}"]')
     assert len(inserts) == 3 * len(RIG.cameras)
     by_name = {camera.name: camera for camera in RIG.cameras}

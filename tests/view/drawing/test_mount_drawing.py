@@ -205,5 +205,5 @@ def test_the_command_writes_a_file_or_a_folder(tmp_path, capsys):
     if importlib.util.find_spec("ezdxf"):
         assert main(["rig", "drawing", "nuscenes", "--out", str(tmp_path / "folder")]) == 0
         assert sorted(file.name for file in (tmp_path / "folder").iterdir()) == [
-            *("mounts.csv", "mounts.dxf", "mounts.glb", "mounts.pdf"),
+            *("mounts.csv", "mounts.dxf", "mounts.glb", "mounts.pdf")
         ]

@@ -61,7 +61,6 @@ _POWERS = np.array([1, 3, 5, 7, 9])
 
 
 def _read(path: Path) -> Found:
-    """The cameras of ``extra_cameras``, at the top of the file or under ``runtime``."""
     record = read_yaml_record(path)
     record.mapping("AlpaSim's configuration with extra_cameras")
     nested = record.at("runtime").at("extra_cameras")
@@ -276,7 +275,6 @@ def _grown_fisheye(odd: np.ndarray, angle: float) -> LensShape | None:
 
 
 def _write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """The cameras, and that they are rendered."""
     rendered, extra = [], []
     for camera in cameras:
         name, model = json.dumps(camera.name), camera.model

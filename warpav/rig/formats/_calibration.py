@@ -57,7 +57,6 @@ _TAG = re.compile(r"!!opencv-[a-z-]+")
 
 
 def _read_opencv(path: Path) -> Found:
-    """The camera of a file, or the cameras of all files of a folder."""
     files = [path]
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)

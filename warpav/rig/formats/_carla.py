@@ -249,7 +249,6 @@ def _written(value: float) -> float:
 
 
 def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """One vehicle that carries the cameras."""
     sensors = []
     for camera in cameras:
         position_m, angle = link_of_transform(camera.file_from_camera)
@@ -264,7 +263,6 @@ def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses)
 
 
 def _write_python(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """A list of sensors, which is JSON and Python at once."""
     sensors = []
     for camera in cameras:
         position_m, angle = link_of_transform(camera.file_from_camera)

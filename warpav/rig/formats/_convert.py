@@ -388,6 +388,5 @@ def _key(name: str) -> str:
 
 
 def _fit_name(name: str) -> str:
-    """The name with every character that rig files do not allow replaced by ``_``."""
     fit = _UNFIT.sub("_", name).strip("_") or "camera"
     return fit if fit[0].isalnum() else f"_{fit}"

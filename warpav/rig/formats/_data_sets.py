@@ -54,7 +54,6 @@ _LIDAR_FROM_RDF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def _read_nuscenes(file: Path, part: str | None) -> Found:
-    """The cameras and LiDARs of a calibrated_sensor table, or of one scene of the data set (``part``)."""
     name_of, lidars = _names(file.parent)
     rows = _rows(file)
     rows = [row for row in rows if row.peek("camera_intrinsic").value != [] or row.at("sensor_token").value in lidars]
@@ -143,7 +142,6 @@ def _row_by_row(file: Path) -> Iterator[Record]:
 
 
 def _names(folder: Path) -> tuple[dict[str, str], set[str]]:
-    """Names of sensors by their tokens, and the tokens of LiDARs."""
     file = folder / "sensor.json"
     rows = _rows(file) if file.is_file() else []
     lidars = {row.at("token").text() for row in rows if row.at("modality").value == "lidar"}
@@ -165,7 +163,6 @@ def _sizes(folder: Path, tokens: set[str]) -> dict[str, tuple[int, int]]:
 
 
 def _tokens_of_scene(folder: Path, scene: str) -> set[str]:
-    """Tokens of the calibrations that a scene's data refer to."""
     scenes = {row.at("name").text(): row.at("token").text() for row in _rows(folder / "scene.json")}
     if scene not in scenes:
         some = ", ".join(sorted(scenes)[:5])
@@ -316,7 +313,6 @@ _UNPLACED = (
 
 
 def _read_kitti(path: Path) -> Found:
-    """The cameras of one calibration file, or of a folder with one file per camera."""
     path = path / _RAW if (path / _RAW).is_file() else path
     notes: list[str] = []
     if not path.is_dir():

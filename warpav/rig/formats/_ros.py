@@ -112,7 +112,6 @@ def _cut(record: Record, optics: Optics) -> Optics:
 
 
 def _camera_info(camera: PlacedCamera, losses: Losses) -> bytes:
-    """The file of one camera."""
     model = camera.model
     if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY, Lens.FISHEYE):
         raise losses.unsupported(camera.name, f"a {model.lens} lens")
@@ -138,7 +137,6 @@ def _matrix(name: str, matrix: np.ndarray) -> list[str]:
 
 
 def _camera_infos(cameras: Sequence[PlacedCamera], folder: Path, losses: Losses) -> dict[Path, bytes]:
-    """The files of all cameras, ``NAME.yaml`` each; LiDARs have none."""
     with_images = (camera for camera in cameras if not camera.model.beams)
     return {folder / f"{camera.name}.yaml": _camera_info(camera, losses) for camera in with_images}
 
@@ -319,7 +317,6 @@ def _number_below(element: ElementTree.Element, key: str, place: str, default: s
 
 
 def _joints(root: ElementTree.Element, path: Path) -> dict[str, _Joint]:
-    """The joint that leads to every link."""
     joint_of: dict[str, _Joint] = {}
     for element in root.findall("joint"):
         name = element.get("name", "")
@@ -354,7 +351,6 @@ def _triple(origin: ElementTree.Element, key: str, joint: str, path: Path) -> li
 
 
 def _above(links: Iterable[str], joint_of: Mapping[str, _Joint]) -> set[str]:
-    """The links above some links, up to the root."""
     above: set[str] = set()
     for link in links:
         below = link

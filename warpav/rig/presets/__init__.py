@@ -12,10 +12,7 @@ from warpav.rig._on_body import Body, MovedRig, put_on_body
 from warpav.rig._rig import Rig, read_rig
 
 HAND_RIGS = ("corners", "cross", "edge", "highest")
-"""Names of rigs by hand; like `HIGHEST` they need a vehicle to stand on."""
-
-HIGHEST = "highest"
-"""The name of the thesis's baseline, cameras around the highest point; it needs a vehicle to stand on."""
+"""Names of rigs by hand, which need a vehicle to stand on; ``highest`` is the thesis's baseline."""
 
 _FOLDER = Path(__file__).parent
 _MESHES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".dae", ".off", ".step", ".stp")
@@ -64,7 +61,6 @@ def preset_on_vehicle(name: str, vehicle: Mesh, rig: Rig | None = None) -> Moved
 
 
 def _preset_file(name: str) -> Path:
-    """The file of the shipped rig of this name."""
     names = preset_names()
     if name not in names:
         raise InputError(f"rig preset: expected one of {', '.join(names)}, got {name!r}{nearest(name, names)}")

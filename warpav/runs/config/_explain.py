@@ -30,10 +30,7 @@ def placed(place: str, text: str) -> str:
 
 
 def explain(
-    found: Mapping[str, Any],
-    file: Path | None,
-    written_at: Mapping[Location, str],
-    override_of: Mapping[Location, str],
+    found: Mapping[str, Any], file: Path | None, written_at: Mapping[Location, str], override_of: Mapping[Location, str]
 ) -> str:
     """One line about one mistake that the validation found."""
     section: type[Section] = ConfigTree
@@ -74,10 +71,7 @@ def _override_at(location: Location, override_of: Mapping[Location, str]) -> str
 
 
 def place_of(
-    location: Location,
-    file: Path | None,
-    written_at: Mapping[Location, str],
-    override_of: Mapping[Location, str],
+    location: Location, file: Path | None, written_at: Mapping[Location, str], override_of: Mapping[Location, str]
 ) -> str:
     """Where an option stands: in an override, at a line of a file, or nowhere and so in the defaults."""
     override = _override_at(location, override_of)
@@ -115,7 +109,6 @@ def _choices(field: FieldInfo) -> list[object]:
 
 
 def _expected(field: FieldInfo) -> str:
-    """What a field expects, in words, from its type and its limits."""
     kinds, metadata, choices = _kinds(field), list(field.metadata), list(map(str, _choices(field)))
     optional = ", or null" if type(None) in kinds else ""
     annotation = kinds[0]

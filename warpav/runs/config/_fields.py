@@ -58,7 +58,6 @@ def _option(
 
 
 def _check_words(values: Sequence[object], known: Sequence[str], expected: str) -> None:
-    """Reject words out of no list."""
     for value in values:
         if value not in known:
             mistake(f"expected {expected}, got {shown(value)}{nearest(value, known)}")
@@ -70,7 +69,6 @@ _SEEDS_TEXT = "seeds as a range such as 1000..1009 or a list such as [1, 2, 3]"
 
 
 def _range_of(value: object) -> tuple[int, int] | None:
-    """The ends of a text such as ``2..8``; None for everything else."""
     match = re.fullmatch(r"\s*([0-9]+)\s*\.\.\s*([0-9]+)\s*", value) if isinstance(value, str) else None
     return (int(match[1]), int(match[2])) if match else None
 
@@ -133,7 +131,6 @@ def _read_path(value: object) -> object:
 
 
 def _check_file(value: str, expected: str, words: Sequence[str] = ()) -> None:
-    """Reject a path at which there is no file; ``words`` may have been meant instead."""
     if not Path(value).expanduser().is_file():
         mistake(f"expected {expected}, got {value!r}{nearest(value, words) or '; no such file'}")
 

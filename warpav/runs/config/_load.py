@@ -116,7 +116,6 @@ def load_config(
 def _validated(
     data: dict[str, Any], file: Path | None, written_at: Mapping[Location, str], override_of: Mapping[Location, str]
 ) -> Config:
-    """The configuration of nested data; ``override_of`` says where what was put on top of it stands."""
     counts = {("rig", "cameras"), ("rig", "modules")} & {location[:2] for location in override_of}
     if counts == {("rig", "modules")} and data["rig"]["modules"]:  # they say how many there are
         data["rig"] = {name: value for name, value in data["rig"].items() if name not in ("cameras", "fewest_cameras")}
@@ -266,7 +265,6 @@ _FlowListDumper.add_representer(
 
 
 def _override_place(override: str, origin: str | None) -> str:
-    """Where an override stands, for messages; empty where that needs no saying."""
     return "" if origin is None else f"{origin} ({override})"
 
 

@@ -178,10 +178,7 @@ class SceneConfig(Section):
         "far; of a list, seeds take turns; null: easy",
     )
     moments_per_street: int = Field(
-        default=1,
-        ge=1,
-        le=1_000_000,
-        description="of the levels urban and dense so many consecutive seeds show one street, with other traffic each",
+        default=1, ge=1, le=1_000_000, description="seeds in a row that show one street, of the levels urban and dense"
     )
     train_seeds: Seeds = Field(default=tuple(range(60)), description="scenes that the optimiser sees")
     validation_seeds: Seeds | None = Field(
@@ -199,12 +196,10 @@ class SceneConfig(Section):
         "vehicle list shows, such as bus; warpav vehicle check examines and repairs meshes; null: the scene's own",
     )
     mirror: bool = Field(
-        default=False,
-        description="train on every scene's mirror image as well, against traffic that keeps to one side",
+        default=False, description="train on every scene's mirror image as well, against traffic that keeps to one side"
     )
     targets: Targets = Field(
-        default=("vehicle",),
-        description="the road users that rigs are optimised and evaluated for; all others only hide them",
+        default=("vehicle",), description="road users that rigs are optimised and evaluated for; others only hide them"
     )
 
     recordings: Recordings | None = Field(
@@ -213,8 +208,7 @@ class SceneConfig(Section):
         "null: those that ship with warpav",
     )
     test_recordings: Recordings | None = Field(
-        default=None,
-        description="the same for the test scenes alone; null: the last third of scenes.recordings, by name",
+        default=None, description="the same for the test alone; null: the last third of scenes.recordings, by name"
     )
     places: Places | None = Field(
         default=None,
@@ -294,10 +288,7 @@ class RigConfig(Section):
     """How many cameras there are, where they start, how close they may come, and what else of them is free."""
 
     cameras: int = Field(
-        default=4,
-        ge=1,
-        le=MOST_CAMERAS,
-        description="cameras on the vehicle; of modules also the range in which their number may be, such as 2..8",
+        default=4, ge=1, le=MOST_CAMERAS, description="cameras on the vehicle; of modules also a range, such as 2..8"
     )
     start: Annotated[str, Expectation(START_TEXT)] = Field(
         default=BY_HAND, description=f"rig that the optimiser starts from: {START_TEXT}"
@@ -313,10 +304,7 @@ class RigConfig(Section):
     min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
     free: _FreeConfig = Field(default=_FreeConfig(), description="what is optimised besides x, y and yaw")
     fewest_cameras: int | None = Field(
-        default=None,
-        ge=1,
-        le=MOST_CAMERAS,
-        description="cameras at least, where rig.cameras is the most; null: as many",
+        default=None, ge=1, le=MOST_CAMERAS, description="cameras at least, rig.cameras being the most; null: as many"
     )
     modules: ModuleCounts | None = Field(
         default=None,
@@ -386,9 +374,7 @@ class _CaptureConfig(Section):
     width_px: int = Field(default=640, ge=32, le=4096, description="image width")
     height_px: int = Field(default=480, ge=32, le=4096, description="image height")
     vehicles: int = Field(default=12, ge=1, le=200, description="vehicles besides the ego vehicle, at most")
-    radius_m: Metres = Field(
-        default=30.0, gt=0.0, le=500.0, description="vehicles stand no farther from the ego vehicle"
-    )
+    radius_m: Metres = Field(default=30.0, gt=0.0, le=500.0, description="vehicles stand no farther from the ego one")
     rotations: int = Field(default=4, ge=1, le=64, description="images from the ego vehicle all around")
     ego_sides: int = Field(default=4, ge=0, le=64, description="images of the ego vehicle from beside it")
     scene_heights_m: Heights = Field(
@@ -467,22 +453,13 @@ class _MountConfig(Section):
 
     cell_m: Metres = Field(default=0.02, ge=0.002, le=0.5, description="cell size of the height map")
     min_upward_normal: float = Field(
-        default=0.8,
-        gt=0.0,
-        le=1.0,
-        description="minimum vertical part of the unit normal of what the height map is made of",
+        default=0.8, gt=0.0, le=1.0, description="least vertical part of the unit normal of what makes the height map"
     )
     min_zone_normal: float = Field(
-        default=0.9,
-        gt=0.0,
-        le=1.0,
-        description="the same of what can carry a camera; a windscreen cannot (method: default)",
+        default=0.9, gt=0.0, le=1.0, description="the same of what carries cameras, not a windscreen (method: default)"
     )
     margin_m: Metres = Field(
-        default=0.02,
-        ge=0.0,
-        le=1.0,
-        description="minimum distance of a camera's centre to the border of the mountable zone (method: default)",
+        default=0.02, ge=0.0, le=1.0, description="least distance of cameras to the zone's border (method: default)"
     )
     smoothing_tolerance_m: Metres = Field(
         default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
@@ -515,10 +492,7 @@ class DetectorConfig(Section):
 
     model: DetectorModel = Field(default="builtin", description="builtin or the path of an ONNX file")
     confidence_min: float = Field(
-        default=0.4,
-        ge=0.0,
-        lt=1.0,
-        description="minimum confidence of a detection; 0.5 unless given where not only vehicles count",
+        default=0.4, ge=0.0, lt=1.0, description="least confidence; 0.5 unless given where not only vehicles count"
     )
     iou_min: float = Field(
         default=0.5, gt=0.0, lt=1.0, description="minimum overlap with the true box for a true positive"
@@ -537,8 +511,7 @@ class DetectorConfig(Section):
         "rtdetr-single",
     ] = Field(default="auto", description="layout of the file's inputs and outputs; auto finds it out")
     labels: LabelsOrFile = Field(
-        default=None,
-        description="labels in the order of the network's classes; null takes those in the file, or else COCO's",
+        default=None, description="labels in the order of the network; null takes those in the file, or else COCO's"
     )
     classes: _ClassesConfig = Field(default=_ClassesConfig(), description="which labels count as which road user")
     input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
@@ -549,9 +522,7 @@ class _EvaluationConfig(Section):
     """How rigs are compared."""
 
     false_alarms_per_image: float = Field(
-        default=0.5,
-        gt=0.0,
-        description="rate at which rigs are compared, each at the confidence that leaves it so many",
+        default=0.5, gt=0.0, description="rate at which rigs are compared, each at the confidence that leaves so many"
     )
 
 
@@ -711,17 +682,13 @@ class ConfigTree(Section):
 
     @property
     def knows_requirements(self) -> bool:
-        """Whether the search is one that knows requirements."""
-        return self._is_by_pool
-
-    @property
-    def _is_by_pool(self) -> bool:
+        """Whether the search is the one by a pool, which knows requirements."""
         return self.search_kind == "pool" and self.losses.is_by_single_cameras and self.method != "thesis"
 
     @property
     def keeps_rules(self) -> bool:
         """Whether rigs keep the design rules, and cameras have bodies where rigs are judged."""
-        return self._is_by_pool if self.rules.enforced is None else self.rules.enforced
+        return self.knows_requirements if self.rules.enforced is None else self.rules.enforced
 
     @property
     def may_be_symmetric(self) -> bool:
@@ -729,7 +696,7 @@ class ConfigTree(Section):
         rig = self.rig
         return (
             rig.symmetric == "auto"
-            and self._is_by_pool
+            and self.knows_requirements
             and 1 < rig.camera_range[0] == rig.camera_range[1]
             and not rig.freeze
             and rig.free.fov_deg is None

@@ -180,7 +180,8 @@ def cautions(run: RunContent) -> list[Statement]:
         if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
             text = f"the vehicle's own body covers up to {share:.0%} of an image"
             found.append(Statement(f"{name} detects nothing", text, "bad"))
-    found += [_broken_rules(evaluation), _unexpected(evaluation), _worse(evaluation)]
+    found += [each for each in (_rules(evaluation),) if each and each.tone == "bad"]
+    found += [_unexpected(evaluation), _worse(evaluation)]
     found += [_told_apart(run, evaluation), _false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
     return [each for each in found if each is not None]
 
@@ -212,7 +213,6 @@ def _worse(evaluation: RigEvaluation) -> Statement | None:
 
 
 def _unexpected(evaluation: RigEvaluation) -> Statement | None:
-    """A detector that misses far more than the model expects."""
     outage, missed = evaluation.camera_outage.get(evaluation.first), evaluation.best.misses_per_100
     if outage is None or missed is None:
         return None
@@ -226,13 +226,7 @@ def _unexpected(evaluation: RigEvaluation) -> Statement | None:
     return Statement("Expected misses", text, "bad")
 
 
-def _broken_rules(evaluation: RigEvaluation) -> Statement | None:
-    rules = _rules(evaluation)
-    return rules if rules is not None and rules.tone == "bad" else None
-
-
 def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """Scenes in which every rig finds nearly everything."""
     missed = [each for each in evaluation.misses.values() if each is not None]
     if len(missed) < 2 or max(missed) >= _EASY_PER_100:
         return None
@@ -242,7 +236,6 @@ def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _false_alarms(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """Rigs whose detector never raises as many false alarms as rigs are compared at."""
     fewer = [name for name, arm in evaluation.arms.items() if arm.confidence_at_equal_false_alarms == 0.0]
     if run.config is None or not fewer:
         return None
@@ -333,7 +326,6 @@ def why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _simpler(evaluation: RigEvaluation) -> Statement | None:
-    """In which numbers the rig may stay as it would be drawn by hand."""
     known, training = evaluation.simpler, evaluation.training_objective
     if known is None or training is None or training.optimised is None:
         return None
@@ -343,14 +335,6 @@ def _simpler(evaluation: RigEvaluation) -> Statement | None:
         f"differences: objective {number(known.objective, 4)}, not {number(training.optimised, 4)} (rig_simpler.yaml)."
     )
     return Statement("Simpler", text)
-
-
-def _search_scenes(run: RunContent) -> str:
-    """The scenes on which a run compares its rigs before it ends."""
-    validation = run.config is not None and bool(run.config.scenes.validation_seeds)
-    if run.certificate is not None:
-        return "training and validation" if validation else "training"
-    return "validation" if validation else "training"
 
 
 def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
@@ -363,7 +347,9 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
         return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
     change = _change(training.start, training.optimised)
-    text = f"On the {_search_scenes(run)} scenes it {change}"
+    validated = run.config is not None and bool(run.config.scenes.validation_seeds)
+    on = "validation" if validated else "training"
+    text = f"On the {'training and ' if validated and run.certificate is not None else ''}{on} scenes it {change}"
     if evaluation.robust is not None:
         return Statement("Objective", f"{text}: {_robust_text(evaluation.robust)}.")
     more = [text for name, text in _FURTHER_TERMS.items() if name in _terms(run)]
@@ -399,7 +385,6 @@ def _robust_text(robust: Robust) -> str:
 
 
 def _mount_errors(robust: Robust) -> str:
-    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``."""
     parts = [] if robust.mount_error_m is None else [f"+-{100.0 * robust.mount_error_m:g} cm"]
     parts += [] if robust.mount_error_deg is None else [f"+-{robust.mount_error_deg:g} deg"]
     return " and ".join(parts)
@@ -410,7 +395,6 @@ _FURTHER_TERMS = {"false_alarms": "what false alarms cost", "requirements": "unm
 
 
 def _terms(run: RunContent) -> Collection[str]:
-    """What the search lowers."""
     return (run.events[-1].terms or {}) if run.events else ()
 
 
@@ -483,7 +467,6 @@ def _left(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _requirements(evaluation: RigEvaluation) -> Statement | None:
-    """Which requirements the rig that was found meets, and where not."""
     outcomes = evaluation.met.get(evaluation.first)
     if not outcomes:
         return None
@@ -573,7 +556,6 @@ def rule_table(evaluation: RigEvaluation, arms: Iterable[str | None] | None = No
 
 
 def _rules(evaluation: RigEvaluation) -> Statement | None:
-    """The design rules that the first rig keeps, or how far it breaks them; None where none is asked for."""
     table, margins = rule_table(evaluation), (evaluation.rules or {}).get(evaluation.first, ())
     if table is None:
         return None

@@ -294,7 +294,6 @@ def _metrics(run: RunContent) -> list[tuple[str, list[tuple[str, str, str]]]]:
 
 
 def _curves(run: RunContent) -> Any:  # noqa: ANN401 (matplotlib)
-    """The course of a search or of a descent; None for events that know neither."""
     records = [event.model_dump() for event in run.events]
     if all({"terms", "multipliers"} <= event.model_fields_set for event in run.events):
         spacing_m = None if run.config is None else run.config.rig.min_spacing_m
@@ -331,7 +330,6 @@ def _images(files: Sequence[Path | io.BytesIO]) -> list[tuple[str, tuple[int, in
 
 
 def _further(run: RunContent) -> Table | None:
-    """The best places of a further camera: rank, gain, place and direction."""
     if run.further is None:
         return None
     best = run.further[run.further.best_places()[:_FURTHER_SHOWN]].rows()
@@ -348,7 +346,6 @@ def _further(run: RunContent) -> Table | None:
 
 
 def _poses(rig: Rig | None) -> Table | None:
-    """Where the cameras of a rig stand, and where they look."""
     if rig is None:
         return None
     rows = [
@@ -365,7 +362,6 @@ def _poses(rig: Rig | None) -> Table | None:
 
 
 def _free(run: RunContent) -> str:
-    """What was free, in words."""
     if run.config is None:
         return ""
     free = run.config.rig.free
@@ -399,7 +395,6 @@ def _ground(evaluation: RigEvaluation) -> Table | None:
 
 
 def _constraints(evaluation: RigEvaluation) -> Table | None:
-    """By how much the first rig keeps each constraint, the tightest first."""
     margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
     if not margins:
         return None
@@ -411,7 +406,6 @@ def _constraints(evaluation: RigEvaluation) -> Table | None:
 
 
 def _left(evaluation: RigEvaluation) -> Table | None:
-    """The road users that the first rig does not detect, the nearest first."""
     left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
     rows = []
     for seen in sorted(left, key=lambda seen: seen.distance_m)[:_MOST_ROWS]:
@@ -424,7 +418,6 @@ def _left(evaluation: RigEvaluation) -> Table | None:
 
 
 def _seconds(run: RunContent) -> Table | None:
-    """Wall time of the stages, and of the parts of an iteration."""
     stages = list((run.evaluation.seconds if run.evaluation else {}).items())
     parts = [name for name in (run.events[0].seconds if run.events else {}) if name != "total"]
     means = [
@@ -445,7 +438,6 @@ def _versions(environment: Mapping[str, Any]) -> Table | None:
 
 
 def _command(run: RunContent) -> list[str]:
-    """Commands that repeat the run: from a shipped configuration, or from the folder's own."""
     own = "warpav optimise config.yaml run.out=again"
     if run.config is None:
         return [own]

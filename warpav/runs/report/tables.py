@@ -119,7 +119,6 @@ def _show(console: Terminal, statement: Statement, before: str = "") -> None:
 
 
 def _plain(text: str) -> str:
-    """A text with the signs that every terminal has."""
     return one_line(text).replace(MINUS, "-").replace(NONE, "-").replace(SPACE, " ").replace("°", " deg")
 
 

@@ -97,7 +97,6 @@ def _document(ezdxf: Any, drawing: Sheet) -> Any:  # noqa: ANN401 (ezdxf)
 
 
 def _add_mark(space: Any, drawing: Sheet, mark: Mark, place: list[float], tip: list[float]) -> None:  # noqa: ANN401 (ezdxf)
-    """The block of a camera with its numbers as invisible attributes, and its arrow."""
     camera, layer = drawing.mounts[mark.camera].camera, {"layer": "CAMERAS"}
     numbers = {"NAME": camera.name, "VIEW": mark.view.name, "MODULE": camera.module or ""}
     numbers |= {f"{axis}_MM": plain(1000.0 * value, 1) for axis, value in zip("XYZ", camera.position_m, strict=True)}

@@ -18,24 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.rig import builtin_modules, rig_text
+from warpav.rig import builtin_modules, corners_m, rig_text
 from warpav.view._outlines import silhouette_m
 from warpav.view._output import write_bytes
 from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 from warpav.view.drawing._dxf import drawing_dxf, load_ezdxf
-from warpav.view.drawing._mounts import Mount, angles_deg, housing_corners_m, mount_csv, mount_glb, mounts, plain
-from warpav.view.drawing._sheet import (
-    TEXT_MM,
-    Mark,
-    Note,
-    Ordinate,
-    Sheet,
-    Stroke,
-    View,
-    add_names,
-    box_mm,
-    circle_mm,
-)
+from warpav.view.drawing._mounts import Mount, angles_deg, mount_csv, mount_glb, mounts, plain
+from warpav.view.drawing._sheet import TEXT_MM, Mark, Note, Ordinate, Sheet, Stroke, View, add_names, box_mm, circle_mm
 from warpav.view.figures._style import (
     FIGURE_SUFFIXES,
     SCALES,
@@ -219,7 +208,6 @@ def _views(low_m: np.ndarray, high_m: np.ndarray, *, foot_mm: float) -> tuple[fl
 
 
 def _add_bodies(drawing: _MountDrawing) -> None:
-    """The outline of the vehicle, and housings of modules, in every view."""
     import cv2
 
     for view in drawing.views:
@@ -230,13 +218,12 @@ def _add_bodies(drawing: _MountDrawing) -> None:
         for index, mount in enumerate(drawing.mounts):
             module = drawing.modules.get(mount.camera.module or "")
             if module is not None:
-                corner_mm = view.place_mm(housing_corners_m(mount.camera, module.housing))
+                corner_mm = view.place_mm(corners_m(mount.camera.ego_from_camera, module.housing))
                 hull_mm = cv2.convexHull(corner_mm.astype(np.float32))[:, 0]
                 drawing.strokes.append(Stroke("HOUSINGS", hull_mm, is_closed=True, camera=index))
 
 
 def _add_datums(drawing: _MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -> None:
-    """The ground, the rear axle and the plane of symmetry, as far as they are lines in a view."""
     axis = np.eye(3)
     lines = {"left": (("A", 0), ("B", 2)), "front": (("A", 1), ("C", 2)), "top": (("C", 0), ("B", 1))}
     for view in drawing.views:
@@ -301,7 +288,6 @@ def _spread(wanted_mm: np.ndarray, least_mm: float) -> np.ndarray:
 
 
 def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
-    """All numbers of the cameras, at the foot of the page."""
     left_mm, bottom_mm = _FRAME_MM[0] + 3.0, _FRAME_MM[1] + 2.0
     height_mm = min(TEXT_MM, 0.55 * row_mm)
     names = long_names([mount.camera for mount in drawing.mounts])
@@ -363,7 +349,6 @@ def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list
 
 
 def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> None:
-    """The frame of the page, the block with title and scale, the sign of the projection, and the notes."""
     left_mm, bottom_mm, right_mm, top_mm = _FRAME_MM
 
     def box(low_mm: tuple[float, float], high_mm: tuple[float, float]) -> None:

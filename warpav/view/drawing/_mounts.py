@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,12 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.raster.mesh import Mesh
+from warpav.rig import corners_m
 from warpav.scene import Node, glb_bytes
 from warpav.view._outlines import frustum_points
 from warpav.view._palette import camera_rgb
 
 if TYPE_CHECKING:
-    from warpav.rig import Housing, Module, Rig, RigCamera
+    from warpav.rig import Module, Rig, RigCamera
 
 FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""
@@ -109,14 +109,6 @@ def plain(value: float, decimals: int) -> str:
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
-def housing_corners_m(camera: RigCamera, housing: Housing) -> np.ndarray:
-    """The corners of a camera's housing in the ego frame [m], float64 [8, 3]."""
-    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    corner_camera_m = signs * np.asarray(housing.size_m) + np.asarray(housing.offset_m)
-    transform = camera.ego_from_camera
-    return corner_camera_m @ transform[:3, :3].T + transform[:3, 3]
-
-
 def mount_glb(mounts: Sequence[Mount], ego: Mesh | None, modules: Mapping[str, Module]) -> bytes:
     """A rig as GLB: the node ``vehicle``, and for each camera ``<name>/frustum`` and, of a module, ``<name>/housing``.
 
@@ -133,6 +125,6 @@ def mount_glb(mounts: Sequence[Mount], ego: Mesh | None, modules: Mapping[str, M
         nodes.append((f"{camera.name}/frustum", Mesh.create(point_m, _SIDES, colour), numbers))
         module = modules.get(camera.module or "")
         if module is not None:
-            corner_m = housing_corners_m(camera, module.housing)
+            corner_m = corners_m(camera.ego_from_camera, module.housing)
             nodes.append((f"{camera.name}/housing", Mesh.create(corner_m, _BOX, colour), {"module": module.name}))
     return glb_bytes({"frame": f"ego: ISO 8855, {axes}"}, nodes)

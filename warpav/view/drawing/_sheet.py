@@ -168,7 +168,6 @@ def add_names(sheet: Sheet) -> None:
 
 
 def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> np.ndarray:
-    """From the circle of a mark to just before its name, [2, 2]."""
     half_mm = 0.5 * size_mm + 0.5 * _CLEAR_MM
     end_mm = np.clip(place_mm, middle_mm - half_mm, middle_mm + half_mm)
     towards = (end_mm - place_mm) / np.linalg.norm(end_mm - place_mm)
@@ -176,7 +175,6 @@ def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray)
 
 
 def _points_mm(line_mm: np.ndarray, *, is_closed: bool = False) -> np.ndarray:
-    """Points along a line, `_STEP_MM` apart at most."""
     line_mm = np.vstack([line_mm, line_mm[:1]]) if is_closed else line_mm
     parts = [
         np.linspace(start_mm, end_mm, 2 + int(np.linalg.norm(end_mm - start_mm) / _STEP_MM))
@@ -186,7 +184,6 @@ def _points_mm(line_mm: np.ndarray, *, is_closed: bool = False) -> np.ndarray:
 
 
 def _groups(marks: Sequence[Mark]) -> list[list[Mark]]:
-    """Marks that overlap and look the same way share a place for their names, others stand alone."""
     groups: list[list[Mark]] = []
     for mark in marks:
         for group in groups:

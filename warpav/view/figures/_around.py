@@ -119,7 +119,6 @@ def _draw_line(axis: Any, field: NearField, row: int, colour: str) -> None:  # n
 
 
 def _draw_rings(axis: Any, ego: Mesh, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Lines at round distances from the outline of the body, as far as the panel reaches, and the outline itself."""
     footprint, room_m = Body.of(ego), reach_m - half_length_m(ego)
     for distance_m in (0.0, *(each for each in _RINGS_M if 0.12 * room_m < each < room_m)):
         line_m = footprint.ring_m(distance_m)
@@ -186,7 +185,6 @@ def _metres(distance_m: float, reach_m: float) -> str:
 
 
 def _write_table(axis: Any, fields: Mapping[str, NearField], lines: int) -> None:  # noqa: ANN401 (matplotlib)
-    """Distances of all heights at the sides, at the worst direction of each, and in the mean, beside the key."""
     rows = []
     for name, field in fields.items():
         short = name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"
@@ -244,12 +242,13 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
                     style = {"marker": marker, "edgecolors": ink, "linewidths": 0.3, "zorder": order}
                     axis.scatter(*ghosts.position_m[shown, 1::-1].T, s=size[shown], c=hex_colour(rgb), **style)
         draw_cameras(axis, rig, sector_radius_m=0.7)
+        mark_cameras(axis, rig.cameras)
         dot = {"linestyle": "", "markersize": 8, "markeredgecolor": ink, "markeredgewidth": 0.4}
         named = zip(COVERAGE_WORDS, COVERAGE_RGB, strict=True)
         handles = [Line2D([], [], marker="o", color=hex_colour(rgb), label=text, **dot) for text, rgb in named]
         handles.append(Line2D([], [], marker="X", color=grey, label="not met", **dot))
         figure.legend(handles=handles, loc="outside lower center", ncols=6)
-        figure.get_layout_engine().set(h_pad=0.1)
+        figure.get_layout_engine().set(h_pad=0.1, rect=(0.0, 0.0, 1.0, 0.99))
         names = ", ".join(each.name for each in ghosts.requirements)
         names = names if len(names) <= 60 else f"{len(ghosts.requirements)} requirements"
         title(axis, names, f"{float(is_met.mean()):.1%} of points")
@@ -366,7 +365,6 @@ def _draw_ranges(
 
 
 def _prepare(axis: Any, reach_m: float, *, is_large: bool) -> None:  # noqa: ANN401 (matplotlib)
-    """Polar axes with the front up and the left on the left, rings in metres."""
     axis.set_theta_zero_location("N")
     axis.set_thetagrids(range(0, 360, 45), _DIRECTIONS, fontsize=8)
     ring_m = ring_radii_m(reach_m)
@@ -425,7 +423,6 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
 
 
 def _draw_cells(axis: Any, count: np.ndarray, edges_m: np.ndarray, middle_m: np.ndarray) -> None:  # noqa: ANN401
-    """Paint cells around a place by how many cameras see them, [sector, band]."""
     from matplotlib.colors import ListedColormap
 
     edge_rad = (np.arange(len(count) + 1) - 0.5) * 2.0 * math.pi / len(count)

@@ -219,7 +219,6 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
 
 
 def _without_limits(capture: Capture, settings: CloudSettings) -> tuple[PointCloud, list[PointCloud]]:
-    """The environment, however far and high, and the ego vehicle with the others."""
     whole = dataclasses.replace(settings, radius_m=math.inf, max_height_m=math.inf)
     clouds = fuse(capture, list(capture.images), whole)
     return clouds.environment, [one.cloud for one in (clouds.ego, *clouds.vehicles)]
@@ -377,14 +376,12 @@ def _counted(clouds: Iterable[PointCloud]) -> str:
 
 
 def _in_any(boxes: Iterable[Box], cloud: PointCloud, margin_m: float) -> np.ndarray:
-    """Which points lie inside a box; bool [point]."""
     return np.any(
         [np.zeros(len(cloud), bool), *(box.contains(cloud.point_m, margin_m=margin_m) for box in boxes)], axis=0
     )
 
 
 def _behind(ego_box: Box, around: PointCloud) -> Viewpoint:
-    """From behind and above the ego vehicle, or from another side where something hides it."""
     elevation_rad, distance_m = math.radians(24.0), 21.0
     target_m = ego_box.center_m + np.array([0.0, 0.0, 0.5])
     point_m = around.point_m.astype(np.float64) - target_m

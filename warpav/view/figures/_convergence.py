@@ -101,6 +101,8 @@ def _panels(
     What says nothing is left out: a single term, which is the loss; multipliers that are all 0, as no constraint was
     broken; the distance of a single camera.
     """
+    from scipy.spatial.distance import pdist
+
     iteration = np.array([record["iteration"] for record in records])
     terms = {  # NaN where a record has none of that name
         name: np.array([record["terms"].get(name, math.nan) for record in records], dtype=np.float64)
@@ -115,7 +117,7 @@ def _panels(
         for name in records[0]["multipliers"]
         if name not in kept
     }
-    distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
+    distance_m = [min(pdist(record["positions_m"]), default=math.nan) for record in records]
 
     def begin(axis: Any, title: str, lines: Mapping[str, object] | None = None) -> None:  # noqa: ANN401 (matplotlib)
         axis.set(title=title, xlabel="iteration")
@@ -177,11 +179,3 @@ def _running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     total = np.convolve(np.pad(np.where(valid, value, 0.0), half), np.ones(2 * half + 1), mode="valid")
     count = np.convolve(np.pad(valid.astype(np.float64), half), np.ones(2 * half + 1), mode="valid")
     return np.where(count > 0, total / np.maximum(count, 1.0), math.nan)
-
-
-def _smallest_distance_m(position_m: object) -> float:
-    position = np.asarray(position_m, dtype=np.float64)
-    first, second = np.triu_indices(len(position), 1)
-    if len(first) == 0:
-        return math.nan
-    return float(np.linalg.norm(position[first] - position[second], axis=1).min())

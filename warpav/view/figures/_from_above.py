@@ -282,12 +282,7 @@ def name_cameras(axis: Any, rig: Rig) -> None:  # noqa: ANN401 (matplotlib)
 
 
 def further_figure(
-    *,
-    further: FurtherCameras,
-    rig: Rig,
-    ego: Mesh,
-    mount_surface: MountSurface,
-    objects: str = "vehicles",
+    *, further: FurtherCameras, rig: Rig, ego: Mesh, mount_surface: MountSurface, objects: str = "vehicles"
 ) -> Any:  # noqa: ANN401 (matplotlib)
     """Draw what each further camera would add to a rig: a dot at its place, in the colour of it.
 

@@ -14,6 +14,7 @@ from warpav.detection import render
 from warpav.scene import EGO, EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, DeviceScene, ViewKind
 from warpav.sight import body_shares
 from warpav.view._palette import (
+    CAMERA_RGB,
     FALSE_POSITIVE_RGB,
     INK_RGB,
     MISS_RGB,
@@ -25,15 +26,7 @@ from warpav.view._palette import (
     camera_rgb,
     hex_colour,
 )
-from warpav.view.figures._style import (
-    WIDTH_INCH,
-    caption,
-    empty_panel,
-    figure_style,
-    new_figure,
-    save_figure,
-    title,
-)
+from warpav.view.figures._style import WIDTH_INCH, caption, empty_panel, figure_style, new_figure, save_figure, title
 
 if TYPE_CHECKING:
     from warpav.optimisation import CameraObservation
@@ -88,14 +81,12 @@ def image_types(capture: Capture, path: Path | str) -> Path:
 
 
 def _show(axis: Any, rgb: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
-    """An image in its own proportions, at the top of its panel."""
     axis.imshow(rgb, interpolation="antialiased")
     axis.set_anchor("N")
     empty_panel(axis)
 
 
 def _pixels(image: CapturedImage, what: str, limits_m: tuple[float, float]) -> np.ndarray:
-    """An image of a capture as colours, uint8 [row, column, 3]."""
     if what == "depth":
         return depth_rgb(image.depth_m, limits_m)
     return instance_rgb(image.instance) if what == "instance" else image.rgb
@@ -159,15 +150,13 @@ def _instance_colour(instance_id: int) -> Rgb:
         return _ENVIRONMENT_RGB
     if instance_id == EGO_INSTANCE:
         return INK_RGB
-    shade, towards = [(0.0, PAPER_RGB), (0.45, PAPER_RGB), (0.4, INK_RGB)][(instance_id - 1) // 8 % 3]
+    shade, towards = [(0.0, PAPER_RGB), (0.45, PAPER_RGB), (0.4, INK_RGB)][(instance_id - 1) // len(CAMERA_RGB) % 3]
     mixed = (1.0 - shade) * np.array(camera_rgb(instance_id - 1)) + shade * np.array(towards)
     red, green, blue = np.rint(mixed).astype(int).tolist()
     return red, green, blue
 
 
 def _telling_image(capture: Capture) -> CapturedImage:
-    """Of the images from the ego vehicle, or else of all, the one with most vehicles, then with most of them."""
-
     def value(image: CapturedImage) -> tuple[bool, int, int]:
         ids, count = np.unique(image.instance, return_counts=True)
         count = count[(ids != ENVIRONMENT_INSTANCE) & (ids != EGO_INSTANCE)]
@@ -203,7 +192,6 @@ def _depth_bar(figure: Any, axes: Any, limits_m: tuple[float, float], **style: A
 
 
 def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (matplotlib)
-    """A legend of the colours: those of vehicles as one swatch in stripes."""
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.patches import Patch
 

@@ -153,7 +153,6 @@ def found_alone_figure(rigs: Mapping[str, Rig], ego: Mesh, place_m: Mapping[str,
 def _panels(
     rigs: Mapping[str, Rig], meaning: Mapping[str, Sequence[Any]], text: str, heading: str | None
 ) -> Iterator[list[Any]]:
-    """Panels of rigs above a key of colours and cameras."""
     cameras = camera_handles(rigs)
     columns = [-(-len(each) // 6) if len(cameras) == 1 else 1 for each in cameras.values()]
     lines = max(-(-len(each) // count) for each, count in zip(cameras.values(), columns, strict=True))
@@ -192,7 +191,6 @@ def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: flo
 
 
 def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> str:  # noqa: ANN401
-    """Paint the ground by what cameras see of it; says how much of it they do not."""
     state = np.select([ground.is_body, ground.is_shadow, ground.is_outside, ground.seen == 1], [0, 1, 2, 3], default=4)
     _paint(axis, ground, state, [hex_colour(rgb) for rgb in _GROUND_OF.values()])
     is_near = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1]) <= reach_m
@@ -201,7 +199,6 @@ def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m
 
 
 def _paint(axis: Any, ground: VisibleGround, state: np.ndarray, colours: Sequence[str]) -> None:  # noqa: ANN401
-    """Paint cells of the ground in the colours of their states, int [row, column]."""
     from matplotlib.colors import ListedColormap
 
     limits = axis.get_xlim(), axis.get_ylim()
@@ -238,13 +235,13 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
         for index, (name, found) in enumerate(best.items()):
             line = np.where(found[horizon] > 0.0, found[horizon], np.nan)
             gap_deg = 360.0 * float((found[horizon] == 0.0).mean())
-            label = f"{name}: mean {np.nanmean(line):.1f}, no image on {gap_deg:.0f}°"
+            label = f"{name}: mean {np.nanmean(line):.1f}, {gap_deg:.0f}° in no image"
             axes[0].plot(azimuth_deg, line, color=hex_colour(camera_rgb(index)), label=label)
         axes[0].set(
             ylim=(0.0, 1.1 * max(float(each[horizon].max()) for each in best.values()) or 1.0),
             ylabel="pixels per degree",
         )
-        axes[0].legend(loc="lower right", ncols=min(2, len(rigs)))
+        axes[0].legend(loc="best", ncols=min(2, len(rigs)))
         title(axes[0], "Along the horizon, best camera")
         image = None
         for axis, (name, found) in zip(axes[1:], best.items(), strict=True):

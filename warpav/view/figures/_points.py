@@ -61,7 +61,6 @@ def _draw_around(axis: Any, found: Scan, place_m: np.ndarray, colour: str) -> No
 
 
 def _counted(scans: dict[str, Scan], users: int) -> str:
-    """How many road users get how many points of all LiDARs together."""
     index = np.concatenate([each.object_index for each in scans.values()])
     count = np.bincount(index[index > 1] - 2, minlength=users)
     hit, enough = (int((count >= least).sum()) for least in _COUNTED)

@@ -77,7 +77,6 @@ def _field_of_view_rad(camera: RigCamera) -> tuple[float, float]:
 
 
 def _forward(camera: RigCamera) -> np.ndarray:
-    """Level direction in which a camera looks, or of its image's upper edge where it looks straight up or down."""
     rotation = camera.ego_from_camera[:3, :3]
     level = rotation[:2, 2]
     if np.linalg.norm(level) < _ANGLE_EPSILON:
@@ -199,7 +198,6 @@ def _draw_rings(above: Any, side: Any, ring_m: Sequence[float], middle_m: np.nda
 
 
 def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw fans, and short names outside of the outermost ring, off the labels of rings."""
     from matplotlib.patches import Circle
 
     border = Circle(tuple(front_up(middle_m)), reach_m, transform=axis.transData)
@@ -255,7 +253,6 @@ def _fan_m(
 
 
 def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray, radius_m: float) -> np.ndarray:
-    """How far it is from a point to a circle around it along unit directions [..., 2]; 0 for a point outside."""
     offset_m = start_m - middle_m
     along = direction @ offset_m
     square = along * along - float(offset_m @ offset_m) + radius_m * radius_m

@@ -166,7 +166,6 @@ def covered_rad(rig: Rig) -> float:
 
 
 def _draw_images(axes: Sequence[Any], rig: Rig, views: Sequence[_SceneView]) -> None:
-    """Draw the fullest of some scenes through every camera."""
     _, observation = max(views, key=lambda view: len(view[0].vehicles))
     for k, (axis, camera, seen) in enumerate(zip(axes, rig.cameras, observation.cameras, strict=True)):
         draw_detections(axis, camera.name, seen)
@@ -177,7 +176,6 @@ def _draw_images(axes: Sequence[Any], rig: Rig, views: Sequence[_SceneView]) -> 
 
 
 def _draw_plan(axis: Any, rig: Rig, views: Sequence[_SceneView]) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw from above who is found and who is not in some scenes, the front up, and the rig's sectors."""
     boxes = [vehicle.box for scene, _ in views for vehicle in scene.vehicles]
     is_found = np.concatenate([observation.detected for _, observation in views])
     reach_m = max((np.abs(box.corners_m()[:, :2]).max() for box in boxes), default=20.0)
@@ -202,7 +200,6 @@ def _draw_plan(axis: Any, rig: Rig, views: Sequence[_SceneView]) -> None:  # noq
 
 
 def _legend(figure: Any, handles: Sequence[Any], text: str) -> None:  # noqa: ANN401 (matplotlib)
-    """A caption with what the marks mean below all panels."""
     legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), title=text)
     legend.get_title().set(fontsize=9, color=hex_colour(MUTED_RGB), multialignment="center")
 
@@ -256,7 +253,6 @@ def mount_surface_stages(
 
 
 def _coloured(surface: MountSurface, limits_m: tuple[float, float]) -> Mesh:
-    """A height map as squares, one for each cell, in colours of height."""
     import matplotlib
 
     height_m = surface.height_m.astype(np.float64)

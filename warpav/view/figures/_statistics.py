@@ -22,15 +22,7 @@ from warpav.view._palette import (
     camera_rgb,
     hex_colour,
 )
-from warpav.view.figures._style import (
-    WIDTH_INCH,
-    caption,
-    colour_map,
-    figure_style,
-    new_figure,
-    save_figure,
-    title,
-)
+from warpav.view.figures._style import WIDTH_INCH, caption, colour_map, figure_style, new_figure, save_figure, title
 
 if TYPE_CHECKING:
     from warpav.detection import CalibrationBin, DetectionProbability, DetectionSamples
@@ -131,16 +123,17 @@ def recall_figure(groupings: Mapping[str, Mapping[str, _Groups]], *, title: str)
 
 
 def _groups(tables: Mapping[str, _Groups]) -> list[str]:
-    """The names of the groups that hold objects."""
     return [name for name, group in next(iter(tables.values())).items() if group.objects]
 
 
 def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[list[Any], list[str]]:  # noqa: ANN401
-    """Draw recall by group; returns what a legend needs."""
+    from scipy.stats import binomtest
+
     first, *others = tables
     groups = _groups(tables)
     colour = hex_colour(camera_rgb(0))
-    low, high = zip(*(_wilson_interval(tables[first][name]) for name in groups), strict=True)
+    tests = [binomtest(tables[first][name].detected, tables[first][name].objects) for name in groups]
+    low, high = zip(*(test.proportion_ci(0.95, method="wilson") for test in tests), strict=True)
     axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
     for k, name in reversed([*enumerate(others)]):
         values = [tables[name][group].recall if group in tables[name] else None for group in groups]
@@ -153,14 +146,6 @@ def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[
     axis.set_yticks(range(len(groups)), [f"{group}  ({tables[first][group].objects})" for group in groups])
     axis.set(ylim=(len(groups) - 0.4, -0.6), xlim=(0.0, 1.02), title=title, xlabel="share detected (objects)")
     return handles, names
-
-
-def _wilson_interval(group: Any) -> tuple[float, float]:  # noqa: ANN401 (of `_Groups`)
-    """Wilson's 95 % interval of a share, as if every object were found or not by itself."""
-    from scipy.stats import binomtest
-
-    found = binomtest(group.detected, group.objects).proportion_ci(0.95, method="wilson")
-    return float(found.low), float(found.high)
 
 
 def front_figure(points: Sequence[Mapping[str, Any]], *, by: str, title: str | None = None) -> Any:  # noqa: ANN401
