@@ -71,7 +71,7 @@ def check_rig_page(source: str, config: Config, *, requirements: str, out: Path)
     limits = limits_for(source, config)
     items = [
         *_required(met),
-        _on_body(rig, ego),
+        _on_body(rig, ego, max(OFF_SKIN_M, 2.0 * config.rig.height_offset_m)),
         *rule_items(rig, ego, limits, device, wanted=config.rules.limits),
         *_seen(rig, ego, checks, device),
     ]
@@ -99,13 +99,13 @@ def _required(met: RequirementResult) -> Iterator[Item]:
         )
 
 
-def _on_body(rig: Rig, ego: Mesh) -> Item:
+def _on_body(rig: Rig, ego: Mesh, most_m: float) -> Item:
     """The camera that is deepest in the body or, where none is in it, farthest off the skin."""
     off_m = off_skin_m(rig, ego)
-    spare_m = np.where(off_m < 0.0, off_m, OFF_SKIN_M - off_m)
+    spare_m = np.where(off_m < 0.0, off_m, most_m - off_m)
     k = int(spare_m.argmin())
     found = f"{abs(off_m[k]):.2f} m {'inside' if off_m[k] < 0.0 else 'off'} ({rig.cameras[k].name})"
-    asked = f"at most {OFF_SKIN_M:g} m off the skin, none inside"
+    asked = f"at most {most_m:g} m off the skin, none inside"
     return Item("Cameras on the body", asked, found, f"{spare_m[k]:+.2f} m", bool(spare_m[k] >= 0.0), True)
 
 
