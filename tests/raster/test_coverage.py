@@ -76,6 +76,9 @@ def test_other_lenses_are_covered_alike(device, rng, name):
     frame = Renderer(models, device=device).render(scene, *on_device(poses, device), content=Content.COVERAGE)
     found, expected = frame.coverage(), whole.measure()
     np.testing.assert_array_equal(found.value.numpy(), expected.value.numpy())
+    weight = wp.array(rng.random((frame.height_px, frame.width_px)), dtype=float, device=device)
+    weighted = frame.weighted_coverage(weight).numpy()
+    np.testing.assert_array_equal(weighted, whole.weighted_area(weight).value.numpy())
     np.testing.assert_array_equal(frame.contrast(found.value).numpy(), whole.contrast(expected.value).numpy())
     np.testing.assert_allclose(
         found.solid_angle_sr.numpy(), whole.window_area(visible=False).value.numpy(), rtol=1e-5, atol=1e-9

@@ -245,7 +245,7 @@ class SingleCameras:
             views.position_ego_m,
             views.camera_from_ego,
             log_focal=views.log_zoom,
-            content=Content.MEASURES if self.mount.cameras[module].beams else Content.COVERAGE,
+            content=Content.COVERAGE,
         )
         return self.probabilities[module].detected(frame, scene, views.position_ego_m, views.camera_from_ego).numpy()
 

@@ -312,9 +312,10 @@ def measure_weighted(
     *,
     kind: int,
     hiding: Any,  # noqa: ANN401 (a struct)
-    into: Measures | None,
+    into: Measures | None = None,
+    has_outlines: bool = True,
 ) -> Measures:
-    """See `Frame.weighted_area` and `Frame.unblocked_area`; ``weight`` is `checked_weight`'s."""
+    """See `Frame.weighted_area`, `weighted_coverage` and `unblocked_area`; ``weight`` is `checked_weight`'s."""
     result = _measures(buffers, scene, 1, into)
     rows, columns = buffers.lanes
     derivative = buffers.kept(
@@ -324,8 +325,8 @@ def measure_weighted(
         kernels.measure_weighted_area_kernel,
         (buffers.view_count, scene.object_count, rows * columns),
         inputs=[
-            buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, buffers.width, buffers.height,
-            buffers.supersampling, FIRST, rows, columns,
+            buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, int(has_outlines),
+            buffers.width, buffers.height, buffers.supersampling, FIRST, rows, columns,
         ],
         outputs=[derivative],
     )  # fmt: skip

@@ -237,6 +237,18 @@ class Frame:
         )
         return result.at(self._poses(camera_from_world, log_focal))
 
+    def weighted_coverage(self, weight_image: wp.array) -> wp.array:
+        """Visible area of every object in every view, each pixel weighted, float [view, object, 1] [weight x px^2].
+
+        The values of `weighted_area`, without Jacobians, at a fraction of their time; weights and errors are its own.
+        """
+        self._require(Content.COVERAGE)
+        weight = areas.checked_weight(self._buffers, self.scene, weight_image)
+        kind, hiding = int(kernels.VISIBLE), self._buffers.hiding
+        return areas.measure_weighted(
+            self._buffers, self.scene, weight, kind=kind, hiding=hiding, has_outlines=False
+        ).value
+
     def unblocked_area(self, *, into: Measures | None = None) -> Measures:
         """Area of every object alone outside the foreground's silhouette, in every view, with Jacobians.
 

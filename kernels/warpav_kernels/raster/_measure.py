@@ -302,6 +302,7 @@ def measure_weighted_area_kernel(
     view_stride: int,
     object_stride: int,
     kind: int,
+    has_outlines: int,
     width: int,
     height: int,
     supersampling: int,
@@ -314,7 +315,7 @@ def measure_weighted_area_kernel(
     """Area of one object in one view weighted by an image, and its derivative, over one lane's samples.
 
     ``weight_image`` is [image, row, column] in pixels; object k in view v takes image
-    ``v * view_stride + k * object_stride``.
+    ``v * view_stride + k * object_stride``. With ``has_outlines`` 0 the derivative is 0.
 
     Launch: ``dim=(views of this chunk, object_count, row_lanes * column_lanes)``. Not taped.
     Writes: ``derivative`` [view, object, 0, lane] of these views.
@@ -332,7 +333,9 @@ def measure_weighted_area_kernel(
                 x = float(pair.rectangle[0] + column) + 0.5
                 y = float(pair.rectangle[1] + row) + 0.5
                 weighted.area += _image_weight(x, y, weight_image, image, samples_per_px)
-            mask = mask_corners(pair, row, column, kind, layers, hiding)
+            mask = int(0)
+            if has_outlines == 1:
+                mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
                 cell = cell_of(camera, pair, row, column, mask)
                 for index in range(cell.segment_count):
