@@ -185,7 +185,7 @@ class LidarProbability:
     ) -> wp.array:
         """The probability that each view finds each object, nothing taped; float [view, object].
 
-        ``frame``: a render of the scene with coverage. However it is turned, an object counts as it does.
+        ``frame``: a render of which `Frame.weighted_coverage` can be asked. However it is turned, an object counts.
         """
         return self.returned(frame, scene, position_ego_m)[1]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
@@ -312,10 +313,9 @@ def measure_weighted(
     *,
     kind: int,
     hiding: Any,  # noqa: ANN401 (a struct)
-    into: Measures | None = None,
-    has_outlines: bool = True,
+    into: Measures | None,
 ) -> Measures:
-    """See `Frame.weighted_area`, `weighted_coverage` and `unblocked_area`; ``weight`` is `checked_weight`'s."""
+    """See `Frame.weighted_area` and `Frame.unblocked_area`; ``weight`` is `checked_weight`'s."""
     result = _measures(buffers, scene, 1, into)
     rows, columns = buffers.lanes
     derivative = buffers.kept(
@@ -325,13 +325,27 @@ def measure_weighted(
         kernels.measure_weighted_area_kernel,
         (buffers.view_count, scene.object_count, rows * columns),
         inputs=[
-            buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, int(has_outlines),
-            buffers.width, buffers.height, buffers.supersampling, FIRST, rows, columns,
+            buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, buffers.width, buffers.height,
+            buffers.supersampling, FIRST, rows, columns,
         ],
         outputs=[derivative],
     )  # fmt: skip
     _sum(buffers, scene, derivative, result)
     return result
+
+
+def weigh_visible(buffers: Buffers, scene: Scene, weight: tuple[wp.array, int, int]) -> wp.array:
+    """See `Frame.weighted_coverage`; ``weight`` is `checked_weight`'s."""
+    lanes = buffers.row_lanes
+    weighted = buffers.zeros((buffers.view_count, lanes, scene.object_count), float)
+    buffers.launch_views(
+        coverage.weigh_keys_kernel,
+        (buffers.view_count, lanes),
+        inputs=[buffers.key, scene.triangles, buffers.scissor, *weight, buffers.supersampling, FIRST, lanes],
+        outputs=[weighted],
+    )
+    value = weighted.numpy().sum(axis=1)[..., None] / np.float32(buffers.supersampling**2)
+    return wp.array(value, dtype=float, device=buffers.device)
 
 
 def measure_window(

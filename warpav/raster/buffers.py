@@ -74,6 +74,7 @@ class RenderState:
 
     scene: Scene  # the scene
     content: Content  # what of it
+    is_exact: bool  # whether the nearest surface hides
     rectangle: wp.array  # samples of every layer, vec4i [view, layer]
     offset: wp.array  # their places in the atlas, int32 [view, layer]
 

@@ -34,7 +34,7 @@ def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusio
     has_outlines = content is not Content.COVERAGE
     is_whole = content not in (Content.COVERAGE, Content.MEASURES)
     buffers.place_layers(scene, layer_count, is_whole=is_whole, has_outlines=has_outlines)
-    state = RenderState(scene, content, buffers.layers.rectangle, buffers.layers.offset)
+    state = RenderState(scene, content, occlusion is Occlusion.EXACT, buffers.layers.rectangle, buffers.layers.offset)
     has_key = content is not Content.OBJECTS
     if has_key:
         if buffers.key.size == 0:

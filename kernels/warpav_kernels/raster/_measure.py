@@ -153,7 +153,7 @@ def _pixel_weight(column: int, row: int, weight_image: wp.array3d[float], image:
 
 
 @wp.func
-def _image_weight(
+def image_weight(
     column: float, row: float, weight_image: wp.array3d[float], image: int, samples_per_px: float
 ) -> float:
     """The weight of the pixel that holds a sample's centre."""
@@ -302,7 +302,6 @@ def measure_weighted_area_kernel(
     view_stride: int,
     object_stride: int,
     kind: int,
-    has_outlines: int,
     width: int,
     height: int,
     supersampling: int,
@@ -315,7 +314,7 @@ def measure_weighted_area_kernel(
     """Area of one object in one view weighted by an image, and its derivative, over one lane's samples.
 
     ``weight_image`` is [image, row, column] in pixels; object k in view v takes image
-    ``v * view_stride + k * object_stride``. With ``has_outlines`` 0 the derivative is 0.
+    ``v * view_stride + k * object_stride``.
 
     Launch: ``dim=(views of this chunk, object_count, row_lanes * column_lanes)``. Not taped.
     Writes: ``derivative`` [view, object, 0, lane] of these views.
@@ -332,10 +331,8 @@ def measure_weighted_area_kernel(
             if is_in_mask(pair, row, column, kind, layers, hiding):
                 x = float(pair.rectangle[0] + column) + 0.5
                 y = float(pair.rectangle[1] + row) + 0.5
-                weighted.area += _image_weight(x, y, weight_image, image, samples_per_px)
-            mask = int(0)
-            if has_outlines == 1:
-                mask = mask_corners(pair, row, column, kind, layers, hiding)
+                weighted.area += image_weight(x, y, weight_image, image, samples_per_px)
+            mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
                 cell = cell_of(camera, pair, row, column, mask)
                 for index in range(cell.segment_count):
