@@ -213,11 +213,15 @@ def _misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: w
     bottom = camera.centre[1] + camera.focal[1] * place[3]
     if top > float(scissor[3]) or bottom < float(scissor[1]) or place[2] < place[0]:
         return True
-    if camera.lens.kind == PANORAMA:
-        return False
     left = camera.centre[0] + camera.focal[0] * place[0]
     right = camera.centre[0] + camera.focal[0] * place[2]
-    return left > float(scissor[2]) or right < float(scissor[0])
+    turn = float(0.0)
+    if camera.lens.kind == PANORAMA:
+        turn = 2.0 * wp.pi * camera.focal[0]
+    for n in range(-1, 2):
+        if left + float(n) * turn <= float(scissor[2]) and right + float(n) * turn >= float(scissor[0]):
+            return False
+    return True
 
 
 @wp.kernel(enable_backward=False)
