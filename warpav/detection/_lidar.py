@@ -175,7 +175,6 @@ class LidarProbability:
         return frame.weighted_area(self._weight_on(frame.device))
 
     def _weight_on(self, device: wp.Device) -> wp.array:
-        """The beams' density on a device."""
         if device.alias not in self._weight:
             self._weight[device.alias] = wp.array(self.beams.density(), dtype=float, device=device)
         return self._weight[device.alias]
@@ -185,7 +184,7 @@ class LidarProbability:
     ) -> wp.array:
         """The probability that each view finds each object, nothing taped; float [view, object].
 
-        ``frame``: a render of which `Frame.weighted_coverage` can be asked. However it is turned, an object counts.
+        ``frame``: a render for `Frame.weighted_coverage`. However it is turned, an object counts as it does.
         """
         return self.returned(frame, scene, position_ego_m)[1]
 
