@@ -59,6 +59,14 @@ def test_coverage_is_what_is_measured_with_jacobians(device, rng, supersampling,
         whole.window_area(visible=True).value.numpy(),
         rtol=0.0 if device == "cpu" else 1e-5,
     )
+    if occlusion is Occlusion.EXACT:
+        weight = wp.array(rng.random((frame.height_px, frame.width_px)), dtype=float, device=device)
+        weighed = whole.weighted_area(weight).value.numpy()
+        # worst seen 1e-7; the lanes of a GPU add in another order
+        np.testing.assert_allclose(frame.weighted_coverage(weight).numpy(), weighed, rtol=1e-5)
+        images = Renderer([MODEL] * len(poses), **options)
+        images = images.render(scene, *on_device(poses, device), content=Content.IMAGES)
+        np.testing.assert_allclose(images.weighted_coverage(weight).numpy(), weighed, rtol=1e-5)
     contrast = whole.contrast(expected.value).numpy()
     np.testing.assert_array_equal(frame.contrast(found.value).numpy(), contrast)
     # a render of everything can be asked as well

@@ -172,24 +172,26 @@ class LidarProbability:
 
         `frame`: a render of the LiDAR's panorama, `CameraModel.of_beams`, with all measures.
         """
-        device = frame.device.alias
-        if device not in self._weight:
-            self._weight[device] = wp.array(self.beams.density(), dtype=float, device=device)
-        return frame.weighted_area(self._weight[device])
+        return frame.weighted_area(self._weight_on(frame.device))
+
+    def _weight_on(self, device: wp.Device) -> wp.array:
+        if device.alias not in self._weight:
+            self._weight[device.alias] = wp.array(self.beams.density(), dtype=float, device=device)
+        return self._weight[device.alias]
 
     def detected(
         self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array
     ) -> wp.array:
         """The probability that each view finds each object, nothing taped; float [view, object].
 
-        ``frame``: a render of the scene with all measures. However it is turned, an object counts as it does.
+        ``frame``: a render for `Frame.weighted_coverage`. However it is turned, an object counts as it does.
         """
         return self.returned(frame, scene, position_ego_m)[1]
 
     def returned(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> tuple[wp.array, wp.array]:
         """What `of_points` gives for a render."""
         distance_m, direction = away_from(scene, position_ego_m.numpy())
-        points = self.points(frame).value
+        points = frame.weighted_coverage(self._weight_on(frame.device))
         whole = None
         if self.beams.radar is not None:
             whole = whole_solid_angle(position_ego_m, scene.upright_box, vehicle_count=scene.vehicle_count).numpy()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
@@ -331,6 +332,20 @@ def measure_weighted(
     )  # fmt: skip
     _sum(buffers, scene, derivative, result)
     return result
+
+
+def weigh_visible(buffers: Buffers, scene: Scene, weight: tuple[wp.array, int, int]) -> wp.array:
+    """See `Frame.weighted_coverage`; ``weight`` is `checked_weight`'s."""
+    lanes = buffers.row_lanes
+    weighted = buffers.zeros((buffers.view_count, lanes, scene.object_count), float)
+    buffers.launch_views(
+        coverage.weigh_keys_kernel,
+        (buffers.view_count, lanes),
+        inputs=[buffers.key, scene.triangles, buffers.scissor, *weight, buffers.supersampling, FIRST, lanes],
+        outputs=[weighted],
+    )
+    value = weighted.numpy().sum(axis=1)[..., None] / np.float32(buffers.supersampling**2)
+    return wp.array(value, dtype=float, device=buffers.device)
 
 
 def measure_window(

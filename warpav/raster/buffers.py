@@ -74,6 +74,7 @@ class RenderState:
 
     scene: Scene  # the scene
     content: Content  # what of it
+    is_exact: bool  # whether the nearest surface hides
     rectangle: wp.array  # samples of every layer, vec4i [view, layer]
     offset: wp.array  # their places in the atlas, int32 [view, layer]
 
@@ -310,6 +311,7 @@ class Buffers:
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
         rays.table = wp.array([image_table(*each) for each in tables], dtype=wp.vec2, device=self.device)
         rays.ray = self.zeros((count, 3, self.height, self.width), float)
+        rays.factor = self.zeros((count, 4, max(self.height, self.width)), float)
         # a GPU does not draw by blocks
         blocks = (-(-self.height // block), -(-self.width // block)) if self.device.is_cpu else (0, 0)
         rays.block = self.zeros((count, 4, *blocks), float)
@@ -333,7 +335,7 @@ class Buffers:
             kernels.place_rays_kernel,
             (count, self.height, self.width),
             inputs=[self.view, view_of_set],
-            outputs=[rays.ray],
+            outputs=[rays.ray, rays.factor],
         )
         self.launch(
             kernels.bound_rays_kernel,

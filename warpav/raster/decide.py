@@ -31,10 +31,10 @@ def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusio
         occlusion is Occlusion.PAIRWISE or (buffers.has_foreground and content in (Content.ALL, Content.MEASURES))
     ):
         layer_count = scene.layer_count
-    has_outlines = content is not Content.COVERAGE
+    has_outlines = layer_count > 0 and content is not Content.COVERAGE
     is_whole = content not in (Content.COVERAGE, Content.MEASURES)
     buffers.place_layers(scene, layer_count, is_whole=is_whole, has_outlines=has_outlines)
-    state = RenderState(scene, content, buffers.layers.rectangle, buffers.layers.offset)
+    state = RenderState(scene, content, occlusion is Occlusion.EXACT, buffers.layers.rectangle, buffers.layers.offset)
     has_key = content is not Content.OBJECTS
     if has_key:
         if buffers.key.size == 0:
@@ -48,10 +48,11 @@ def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusio
                 inputs=[buffers.scissor, FIRST, buffers.row_lanes],
                 outputs=[buffers.key],
             )
-    buffers.layers.inverse_depth_bits.zero_()
+    if layer_count:
+        buffers.layers.inverse_depth_bits.zero_()
+        buffers.hiding.bits.zero_()
     if has_outlines:
         buffers.layers.crossing_key.zero_()
-    buffers.hiding.bits.zero_()
     is_ghostly = occlusion is Occlusion.OCCLUDERS
     # occluders come first among the clusters: by themselves they write keys, and after that every object its layer
     passes = [(scene.cluster_count, has_key)]

@@ -80,6 +80,15 @@ _FIND_CANDIDATES = """
     const auto least = [](float p, float q) { return p < q ? p : q; };
     const auto most = [](float p, float q) { return p > q ? p : q; };
     const float half_turn = 3.14159265f;
+    // within 4e-7, many at once (Abramowitz and Stegun 4.4.49)
+    const auto angle_of = [&](float y, float x) {
+        const float p = wp::abs(x), q = wp::abs(y), t = least(p, q) / most(most(p, q), 1.0e-30f), s = t * t;
+        const float odd = -0.3333314528f + s * (0.1999355085f + s * (-0.1420889944f + s * (0.1065626393f
+            + s * (-0.0752896400f + s * (0.0429096138f + s * (-0.0161657367f + s * 0.0028662257f))))));
+        const float small = t + t * s * odd, angle = q > p ? 0.5f * half_turn - small : small;
+        const float ahead = x < 0.0f ? half_turn - angle : angle;
+        return y < 0.0f ? -ahead : ahead;
+    };
     const bool is_flat = camera.lens.kind == brown_conrady, is_panorama = camera.lens.kind == panorama;
     const bool is_sphere = camera.lens.formula == sphere;
 
@@ -108,9 +117,9 @@ _FIND_CANDIDATES = """
     }
     if (is_panorama) {
         for (int i = 0; i < vertices[1]; ++i) {
-            u[i] = atan2f(dx[i], dz[i]);
+            u[i] = angle_of(dx[i], dz[i]);
             const float level = sqrtf(dx[i] * dx[i] + dz[i] * dz[i]);
-            v[i] = is_sphere ? atan2f(dy[i], level) : dy[i] / most(level, 1.0e-6f);
+            v[i] = is_sphere ? angle_of(dy[i], level) : dy[i] / most(level, 1.0e-6f);
             bend[i] = wp::abs(dy[i]);
         }
     } else {

@@ -153,7 +153,7 @@ def _pixel_weight(column: int, row: int, weight_image: wp.array3d[float], image:
 
 
 @wp.func
-def _image_weight(
+def image_weight(
     column: float, row: float, weight_image: wp.array3d[float], image: int, samples_per_px: float
 ) -> float:
     """The weight of the pixel that holds a sample's centre."""
@@ -331,7 +331,7 @@ def measure_weighted_area_kernel(
             if is_in_mask(pair, row, column, kind, layers, hiding):
                 x = float(pair.rectangle[0] + column) + 0.5
                 y = float(pair.rectangle[1] + row) + 0.5
-                weighted.area += _image_weight(x, y, weight_image, image, samples_per_px)
+                weighted.area += image_weight(x, y, weight_image, image, samples_per_px)
             mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
                 cell = cell_of(camera, pair, row, column, mask)

@@ -11,7 +11,7 @@ import warp as wp
 from warpav_kernels.raster._bent_edges import cross_outline
 from warpav_kernels.raster._candidates import Candidate, Question, bound_wide, find_candidates
 from warpav_kernels.raster._layers import LEAST_INVERSE_DEPTH, Layers
-from warpav_kernels.raster._lens import PANORAMA, cone_bounds
+from warpav_kernels.raster._lens import PANORAMA, SPHERE, cone_bounds
 from warpav_kernels.raster._rays import Rays
 from warpav_kernels.raster._triangles import Triangles, behind_m, shows_no_back
 from warpav_kernels.raster._view import View, point_in_camera
@@ -35,19 +35,23 @@ _FILL_TRIANGLE = """
     const int width = rays.ray.shape[3];
     const size_t axis = size_t(rays.ray.shape[2]) * width;
     const bool is_flat = rays.is_flat.data[ray_set];
+    const int longest = rays.factor.shape[2];
+    const float* factor = rays.factor.data + 4 * size_t(longest) * ray_set;
     const float* ray = rays.ray.data + 3 * axis * ray_set;
     wp::int64* keys = key.data + size_t(v) * key.shape[1] * key.shape[2];
     wp::int32* front = layers.inverse_depth_bits.data + offset - rectangle[0];
-    struct Yes { enum { is = 1 }; };
     struct No { enum { is = 0 }; };
+    struct Yes { enum { is = 1 }; };
+    struct Sphere { enum { is = 2 }; };
 
     // samples of a row from a column on; inside a triangle only its depth is asked for
     const auto fill = [&](auto flat, auto inner, int lanes, int row, int first) {
         const float* x = ray + size_t(row) * width + first;
+        const float *around = factor + first, level = factor[2 * longest + row], drop = factor[3 * longest + row];
         wp::int32 bits[8];
         for (int i = 0; i < lanes; ++i) {
-            const float dx = x[i], dy = x[i + axis];
-            const float dz = flat.is ? 1.0f : x[i + 2 * axis];
+            const float dx = flat.is == 2 ? around[i] * level : x[i], dy = flat.is == 2 ? drop : x[i + axis];
+            const float dz = flat.is == 2 ? around[i + longest] * level : flat.is ? 1.0f : x[i + 2 * axis];
             union { float number; wp::int32 bits; } here;
             const float w = aw * dx + bw * dy + cw * dz;
             here.number = wp::max(w, least_inverse_depth);
@@ -163,8 +167,10 @@ _FILL_TRIANGLE = """
         const int last = wp::min(image.last_column + shift + turns, frame[2] - 1);
         if (first > last) continue;
         const bool is_large = (last - first + 1) * (last_row - first_row + 1) > large;
-        if (is_flat) is_large ? fill_large(Yes(), first, last) : fill_small(Yes(), first, last);
-        else is_large ? fill_large(No(), first, last) : fill_small(No(), first, last);
+        const auto draw = [&](auto form) { is_large ? fill_large(form, first, last) : fill_small(form, first, last); };
+        if (is_flat) draw(Yes());
+        else if (is_sphere) draw(Sphere());
+        else draw(No());
     }
 #endif
 """
@@ -178,6 +184,7 @@ def _fill_triangle(
     rays: Rays,
     ray_set: int,
     turn_samples: float,
+    is_sphere: bool,
     frame: wp.vec4i,
     large: int,
     least_inverse_depth: float,
@@ -213,11 +220,15 @@ def _misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: w
     bottom = camera.centre[1] + camera.focal[1] * place[3]
     if top > float(scissor[3]) or bottom < float(scissor[1]) or place[2] < place[0]:
         return True
-    if camera.lens.kind == PANORAMA:
-        return False
     left = camera.centre[0] + camera.focal[0] * place[0]
     right = camera.centre[0] + camera.focal[0] * place[2]
-    return left > float(scissor[2]) or right < float(scissor[0])
+    turn = float(0.0)
+    if camera.lens.kind == PANORAMA:
+        turn = 2.0 * wp.pi * camera.focal[0]
+    for n in range(-1, 2):
+        if left + float(n) * turn <= float(scissor[2]) and right + float(n) * turn >= float(scissor[0]):
+            return False
+    return True
 
 
 @wp.kernel(enable_backward=False)
@@ -275,6 +286,7 @@ def scatter_bent_triangles_kernel(
     turn_samples = float(0.0)
     if camera.lens.kind == PANORAMA:
         turn_samples = 2.0 * wp.pi * camera.focal[0]
+    is_sphere = camera.lens.kind == PANORAMA and camera.lens.formula == SPHERE
     asked = Question()
     asked.frame = frame
     asked.table = table
@@ -299,6 +311,6 @@ def scatter_bent_triangles_kernel(
                     offset, layers,
                 )  # fmt: skip
         _fill_triangle(
-            candidate, v, k, rays, ray_set, turn_samples, frame, _BLOCK_SAMPLES,
+            candidate, v, k, rays, ray_set, turn_samples, is_sphere, frame, _BLOCK_SAMPLES,
             LEAST_INVERSE_DEPTH, 1.0 / camera.near_m, has_key == 1, rectangle, offset, layers, key,
         )  # fmt: skip

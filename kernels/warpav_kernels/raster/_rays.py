@@ -5,6 +5,7 @@ Inverting a lens takes Newton's steps, so the rays are found once for each lens 
 
 import warp as wp
 
+from warpav_kernels.raster._lens import PANORAMA, SPHERE
 from warpav_kernels.raster._view import View, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
@@ -25,6 +26,9 @@ class Rays:
     # x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing is
     # seen, [set, axis, row, column]
     ray: wp.array4d[float]
+    # Of an equirectangular panorama, whose rays are products of them: sine and cosine of the columns' azimuths, cosine
+    # and sine of the rows' elevations, 0 where nothing is seen, [set, part, column or row]; of other lenses 0
+    factor: wp.array3d[float]
     # x, y and z of the mean of the rays of every block of samples, and the greatest distance from it; -1 where none of
     # them sees anything, [set, part, row, column]
     block: wp.array4d[float]
@@ -44,14 +48,25 @@ def place_rays_kernel(
     view_of_set: wp.array[wp.int32],
     # out
     ray: wp.array4d[float],
+    factor: wp.array3d[float],
 ):
     """The rays of every set, from one of its views.
 
     Launch: ``dim=(set_count, height, width)``; one thread per sample. Not taped.
-    Writes: every element of ``ray`` once.
+    Writes: every element of ``ray`` once; ``factor`` where the set has it, else the caller zeroes it.
     """
     i, row, column = wp.tid()
-    each = ray_in_camera(view[view_of_set[i]], float(column) + 0.5, float(row) + 0.5)
+    camera = view[view_of_set[i]]
+    each = ray_in_camera(camera, float(column) + 0.5, float(row) + 0.5)
+    if camera.lens.kind == PANORAMA and camera.lens.formula == SPHERE:
+        if row == 0:
+            azimuth = (float(column) + 0.5 - camera.centre[0]) / camera.focal[0]
+            factor[i, 0, column] = wp.sin(azimuth)
+            factor[i, 1, column] = wp.cos(azimuth)
+        if column == 0 and wp.length_sq(each) > 0.0:
+            elevation = (float(row) + 0.5 - camera.centre[1]) / camera.focal[1]
+            factor[i, 2, row] = wp.cos(elevation)
+            factor[i, 3, row] = wp.sin(elevation)
     for axis in range(3):
         ray[i, axis, row, column] = each[axis]
 

@@ -15,8 +15,10 @@ from warpav_kernels.raster._measure import (
     TOP,
     VISIBLE_AREA,
     frame_weight,
+    image_weight,
 )
 from warpav_kernels.raster._outline import Hiding, pair_of
+from warpav_kernels.raster._triangles import Triangles
 from warpav_kernels.raster._view import GUARD, View, sample_ray, solid_angle
 
 wp.set_module_options({"enable_backward": False})
@@ -151,3 +153,40 @@ def sum_coverage_kernel(
         measure[v, k, RIGHT] = float(farthest[1] - GUARD) / samples_per_px
         measure[v, k, TOP] = float(height - farthest[2] - GUARD) / samples_per_px
         measure[v, k, BOTTOM] = float(farthest[3] - GUARD) / samples_per_px
+
+
+@wp.kernel(enable_backward=False)
+def weigh_keys_kernel(
+    # in
+    key: wp.array3d[wp.int64],
+    scene: Triangles,
+    scissor: wp.array[wp.vec4i],
+    weight_image: wp.array3d[float],
+    view_stride: int,
+    object_stride: int,
+    supersampling: int,
+    first_view: int,
+    lane_count: int,
+    # out
+    weighted: wp.array3d[float],
+):
+    """Area of what of every object is nearest in its view weighted by an image, over one lane's rows, in samples.
+
+    ``weight_image`` is that of `measure_weighted_area_kernel`, whose values these are where the nearest surface hides.
+
+    Launch: ``dim=(views of this chunk, lane_count)``; lane k of n takes the rows k, k + n, ... of a scissor. Not taped.
+    Writes: ``weighted`` [view, lane, object] of these views; the caller zeroes it.
+    """
+    chunk_view, lane = wp.tid()
+    v = first_view + chunk_view
+    frame = scissor[v]
+    for row in range(frame[1] + lane, frame[3], lane_count):
+        for column in range(frame[0], frame[2]):
+            nearest = key[v, row, column]
+            if nearest != wp.int64(0):
+                layer = scene.body_layer[scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))]]
+                if layer >= 0 and layer < weighted.shape[2]:
+                    image = v * view_stride + layer * object_stride
+                    x = float(column) + 0.5
+                    y = float(row) + 0.5
+                    weighted[v, lane, layer] += image_weight(x, y, weight_image, image, float(supersampling))
