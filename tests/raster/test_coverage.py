@@ -62,7 +62,6 @@ def test_coverage_is_what_is_measured_with_jacobians(device, rng, supersampling,
     if occlusion is Occlusion.EXACT:
         weight = wp.array(rng.random((frame.height_px, frame.width_px)), dtype=float, device=device)
         weighed = whole.weighted_area(weight).value.numpy()
-        # worst seen 1e-7; the lanes of a GPU add in another order
         np.testing.assert_allclose(frame.weighted_coverage(weight).numpy(), weighed, rtol=1e-5)
         images = Renderer([MODEL] * len(poses), **options)
         images = images.render(scene, *on_device(poses, device), content=Content.IMAGES)
