@@ -237,14 +237,15 @@ class SingleCameras:
     ) -> np.ndarray:
         """What as many cameras of one kind as the renderer has views detect, float32 [camera, object]."""
         views = self.mount.place(wp.array(mount_pose, dtype=float, device=self.mount.device), 1)
+        probability = self.probabilities[module]
         frame = renderer.render(
             raster,
             views.position_ego_m,
             views.camera_from_ego,
             log_focal=views.log_zoom,
-            content=Content.MEASURES if self.mount.cameras[module].beams else Content.COVERAGE,
+            content=probability.content if isinstance(probability, LidarProbability) else Content.COVERAGE,
         )
-        return self.probabilities[module].detected(frame, scene, views.position_ego_m).numpy()
+        return probability.detected(frame, scene, views.position_ego_m).numpy()
 
     def in_ego(self, pose: np.ndarray) -> tuple[np.ndarray, list[CameraModel]]:
         """Poses of cameras in the ego frame, float64 [camera, 4, 4], and their models."""
