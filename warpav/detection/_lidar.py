@@ -30,6 +30,7 @@ from warpav.detection._images import render_images
 from warpav.detection._probability import whole_solid_angle
 from warpav.raster.areas import Measures
 from warpav.raster.beams import Beams
+from warpav.raster.buffers import Content
 from warpav.raster.frame import Frame
 from warpav.rig import Rig
 from warpav.scene import DeviceScene, Scene, road_user_of
@@ -52,10 +53,12 @@ class LidarCurve:
         points_for_half: h, the points that give an even chance, positive, of each road user; others as vehicles. The
             usual 5 are the least of which the public benchmarks count a labelled box as one that can be found.
         steepness: k, positive.
+        by_incidence: Whether a point counts by the cosine of its incidence, as diffuse surfaces return power; else 1.
     """
 
     points_for_half: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(ROAD_USERS, 5.0))
     steepness: float = 2.7
+    by_incidence: bool = False
 
     def of(self, points: np.ndarray, road_user: str = "vehicle") -> np.ndarray:
         """The probability for numbers of points that return, float64."""
@@ -96,7 +99,7 @@ def fit_lidar_curve(
 
     def curve(numbers: np.ndarray) -> LidarCurve:
         halves = dict(zip(kinds, np.exp(numbers[1:]).tolist(), strict=True))
-        return LidarCurve({**start.points_for_half, **halves}, float(np.exp(numbers[0])))
+        return LidarCurve({**start.points_for_half, **halves}, float(np.exp(numbers[0])), start.by_incidence)
 
     def loss(numbers: np.ndarray) -> float:
         model, total = curve(numbers), 0.0
@@ -157,7 +160,13 @@ class LidarProbability:
     @property
     def identity(self) -> tuple[object, ...]:
         """All that the probabilities depend on."""
-        return self.beams.kind, repr(self.beams), self.curve.halves.tobytes(), self.curve.steepness
+        return (
+            self.beams.kind,
+            repr(self.beams),
+            self.curve.halves.tobytes(),
+            self.curve.steepness,
+            self.curve.by_incidence,
+        )
 
     @cached_property
     def _weight(self) -> dict[str, wp.array]:
@@ -170,14 +179,25 @@ class LidarProbability:
     def points(self, frame: Frame) -> Measures:
         """Expected beams on every object in every view, [view, object, 1], whether or not they return; of a radar [sr].
 
-        `frame`: a render of the LiDAR's panorama, `CameraModel.of_beams`, with all measures.
+        `frame`: a render of the LiDAR's panorama, `CameraModel.of_beams`, with `content`. The Jacobian of points by
+        incidence holds the incidence fixed.
         """
-        return frame.weighted_area(self._weight_on(frame.device))
+        return frame.weighted_area(self._weight_in(frame))
 
-    def _weight_on(self, device: wp.Device) -> wp.array:
+    @property
+    def content(self) -> Content:
+        """What renders must hold for `points`."""
+        return Content.ALL if self.curve.by_incidence and self.beams.radar is None else Content.MEASURES
+
+    def _weight_in(self, frame: Frame) -> wp.array:
+        """Beams a pixel, by incidence those of every view."""
+        device = frame.device
         if device.alias not in self._weight:
             self._weight[device.alias] = wp.array(self.beams.density(), dtype=float, device=device)
-        return self._weight[device.alias]
+        weight = self._weight[device.alias]
+        if self.content is Content.MEASURES:
+            return weight
+        return wp.array(frame.incidence().numpy() * weight.numpy(), dtype=float, device=device)
 
     def detected(
         self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array, camera_from_ego: wp.array
@@ -191,7 +211,7 @@ class LidarProbability:
     def returned(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> tuple[wp.array, wp.array]:
         """What `of_points` gives for a render."""
         distance_m, direction = away_from(scene, position_ego_m.numpy())
-        points = frame.weighted_coverage(self._weight_on(frame.device))
+        points = frame.weighted_coverage(self._weight_in(frame))
         whole = None
         if self.beams.radar is not None:
             whole = whole_solid_angle(position_ego_m, scene.upright_box, vehicle_count=scene.vehicle_count).numpy()

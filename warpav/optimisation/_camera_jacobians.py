@@ -277,7 +277,7 @@ class LidarJacobians:
             views.position_ego_m,
             views.camera_from_ego,
             log_focal=views.log_zoom,
-            content=Content.MEASURES,
+            content=self.probability.content,
         )
         points = self.probability.points(frame)
         return points.value.numpy(), points.jacobian.numpy()[:, :, 0], *away_from(scene, views.position_ego_m.numpy())

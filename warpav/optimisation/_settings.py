@@ -390,6 +390,10 @@ class LidarSettings(Section):
     steepness: float = Field(
         default=2.7, gt=0.0, le=20.0, description="how fast the chance rises with the logarithm of one and the points"
     )
+    incidence: Literal["ignored", "lambert"] = Field(
+        default="ignored",
+        description="whether a point counts by the cosine of its incidence, as diffuse surfaces return",
+    )
     fusion: Annotated[
         str,
         BeforeValidator(_read_fusion),
@@ -414,7 +418,7 @@ class LidarSettings(Section):
         from warpav.detection import LidarCurve
 
         halves = {name: getattr(self, name) for name in ("vehicle", "pedestrian", "cyclist")}
-        return LidarCurve(halves, self.steepness)
+        return LidarCurve(halves, self.steepness, self.incidence == "lambert")
 
 
 class RuleSettings(Section):

@@ -240,12 +240,12 @@ class SingleCameras:
     ) -> np.ndarray:
         """What as many cameras of one kind as the renderer has views detect, float32 [camera, object]."""
         views = self.mount.place(wp.array(mount_pose, dtype=float, device=self.mount.device), 1)
-        content = Content.COVERAGE
-        if self.mount.cameras[module].beams:
-            content = Content.IMAGES if self.occlusion is Occlusion.EXACT else Content.MEASURES
+        content, probability = Content.COVERAGE, self.probabilities[module]
+        if isinstance(probability, LidarProbability):
+            content = Content.IMAGES if self.occlusion is Occlusion.EXACT else probability.content
         pose = views.position_ego_m, views.camera_from_ego
         frame = renderer.render(raster, *pose, log_focal=views.log_zoom, content=content)
-        return self.probabilities[module].detected(frame, scene, *pose).numpy()
+        return probability.detected(frame, scene, *pose).numpy()
 
     def in_ego(self, pose: np.ndarray) -> tuple[np.ndarray, list[CameraModel]]:
         """Poses of cameras in the ego frame, float64 [camera, 4, 4], and their models."""

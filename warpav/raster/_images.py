@@ -50,6 +50,19 @@ def draw_depths(
     return depth_m, object_id
 
 
+def draw_incidence(buffers: Buffers, scene: Scene) -> wp.array:
+    """Cosines of incidence, float [view, row, column]."""
+    cosine = buffers.image(buffers.view_count, float, None)
+    lanes = buffers.row_lanes
+    buffers.launch_views(
+        kernels.resolve_incidence_kernel,
+        (buffers.view_count, buffers.height_px, lanes),
+        inputs=[buffers.view, buffers.key, scene.triangles, buffers.supersampling, FIRST, lanes],
+        outputs=[cosine],
+    )
+    return cosine
+
+
 def draw_silhouettes(buffers: Buffers, scene: Scene, kind: int) -> wp.array:
     """Share of every pixel that each object covers, float [view, object, row, column]."""
     silhouette = buffers.zeros((buffers.view_count, scene.object_count, buffers.height_px, buffers.width_px), float)

@@ -360,6 +360,15 @@ class Frame:
         self._require(Content.IMAGES)
         return images.draw_depths(self._buffers, self.scene, float("inf"), into)
 
+    def incidence(self) -> wp.array:
+        """Cosine between ray and normal of what pixels' middles show, 0..1, float [view, row, column]; 0: nothing.
+
+        Raises:
+            InputError: The frame is stale or holds no images.
+        """
+        self._require(Content.IMAGES)
+        return images.draw_incidence(self._buffers, self.scene)
+
     def depths(
         self,
         camera_from_world: Any = None,  # noqa: ANN401

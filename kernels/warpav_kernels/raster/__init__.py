@@ -18,7 +18,8 @@ from warpav_kernels.raster._rasterise import clear_keys_kernel, fill_strips_kern
 from warpav_kernels.raster._ray_space import scatter_bent_triangles_kernel
 from warpav_kernels.raster._rays import BLOCK, Rays, bound_rays_kernel, place_blocks_kernel, place_rays_kernel
 from warpav_kernels.raster._shade import (
-    measure_contrast_kernel, resolve_depth_kernel, resolve_rgb_kernel, resolve_silhouettes_kernel,
+    measure_contrast_kernel, resolve_depth_kernel, resolve_incidence_kernel, resolve_rgb_kernel,
+    resolve_silhouettes_kernel,
 )
 from warpav_kernels.raster._trace import trace_keys_kernel, trace_layers_kernel
 from warpav_kernels.raster._triangles import Triangles
@@ -32,8 +33,8 @@ __all__ = [
     "View", "angle_at", "bound_rays_kernel", "clear_keys_kernel", "fill_strips_kernel", "gather_jacobian_kernel",
     "measure_areas_kernel", "measure_contrast_kernel", "measure_weighted_area_kernel", "place_blocks_kernel",
     "place_layers_kernel", "place_rays_kernel", "place_scissors_kernel", "place_views_kernel", "radius_and_growth",
-    "resolve_depth_kernel", "resolve_rgb_kernel", "resolve_silhouettes_kernel", "scatter_bent_crossings_kernel",
-    "scatter_bent_triangles_kernel", "scatter_triangles_kernel", "sum_derivatives_kernel", "sum_lanes_kernel",
-    "trace_keys_kernel", "trace_layers_kernel", "vec8",
+    "resolve_depth_kernel", "resolve_incidence_kernel", "resolve_rgb_kernel", "resolve_silhouettes_kernel",
+    "scatter_bent_crossings_kernel", "scatter_bent_triangles_kernel", "scatter_triangles_kernel",
+    "sum_derivatives_kernel", "sum_lanes_kernel", "trace_keys_kernel", "trace_layers_kernel", "vec8",
 ]
 # fmt: on

@@ -89,6 +89,38 @@ def resolve_depth_kernel(
 
 
 @wp.kernel(enable_backward=False)
+def resolve_incidence_kernel(
+    # in
+    view: wp.array[View],
+    key: wp.array3d[wp.int64],
+    scene: Triangles,
+    supersampling: int,
+    first_view: int,
+    lane_count: int,
+    # out
+    cosine: wp.array3d[float],
+):
+    """Cosine of the angle between the ray of every pixel's middle sample and the normal of what it hits, 0..1.
+
+    Launch: ``dim=(views of this chunk, height_px, lane_count)``; the lanes share the pixels of a row. Not taped.
+    Writes: every element of ``cosine`` of these views once, 0 where nothing is hit.
+    """
+    chunk_view, row, lane = wp.tid()
+    v = first_view + chunk_view
+    camera = view[v]
+    middle = GUARD + supersampling / 2
+    for column in range(lane, cosine.shape[2], lane_count):
+        found = key[v, middle + row * supersampling, middle + column * supersampling]
+        along = float(0.0)
+        if found != wp.int64(0):
+            plane = scene.triangle_plane[wp.int32(found & wp.int64(0xFFFFFFFF))]
+            normal = camera.camera_from_world * wp.vec3(plane[0], plane[1], plane[2])
+            ray = sample_ray(camera, middle + row * supersampling, middle + column * supersampling)
+            along = wp.abs(wp.dot(normal, wp.normalize(ray)))
+        cosine[v, row, column] = wp.min(along, 1.0)
+
+
+@wp.kernel(enable_backward=False)
 def resolve_silhouettes_kernel(
     # in
     layers: Layers,
