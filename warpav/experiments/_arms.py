@@ -446,7 +446,7 @@ def _layout(placement: Placement) -> FoundRig:
 
 
 def _within_cost(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The search by a pool from the best rig by hand, with any numbers of modules that cost as much at most.
+    """The search by a pool from the best rig by hand: half of the layout's modules of each kind at least, at its cost.
 
     It is judged at as many false alarms a scene as the layout of ``baselines.rigs`` may raise.
     """
@@ -455,7 +455,8 @@ def _within_cost(placement: Placement, camera_renders_max: int | None) -> FoundR
     search, _ = _hand_search(placement)
     cost = limits.cost([camera.module for camera in layout.cameras])
     most = {name: int(min(cost / max(price, 1e-9) + 1e-9, MOST_CAMERAS)) for name, price in limits.price.items()}
-    modules = {name: f"0..{count}" for name, count in most.items()}
+    built = [camera.module for camera in layout.cameras]
+    modules = {name: f"{built.count(name) // 2}..{count}" for name, count in most.items()}
     free = {"rig.modules": modules, "rig.cameras": f"2..{MOST_CAMERAS}", "rig.max_cost": cost, "rig.start": "highest"}
     left = None if camera_renders_max is None else camera_renders_max - search.camera_renders
     freed = placement.with_config(config.replace(free))
