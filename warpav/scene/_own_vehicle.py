@@ -211,7 +211,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in FORMATS:  # of archives no bound is known
         raise InputError(
-            f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
+            f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}; export it "
+            "as GLB, or OBJ beside its textures"
         )
     source = _source(path, suffix)
     found, usual, is_scene, is_own = source.parts, source.usual, source.is_scene, source.is_own
@@ -336,8 +337,8 @@ def _robot(path: Path, finder: FileFinder) -> _Source:
             found.append((visual.link, (moved, texture if visual.rgb is None else None)))
         if sum(len(mesh.triangle) for _, (mesh, _) in found) > TRIANGLES_MAX:
             raise ValueError(f"more than {TRIANGLES_MAX:,} triangles in all links")
-    files = frozenset(finder.found).union(*(source.read for source in read.values()))
-    return _Source(found, Reading("z", "x"), list(dict.fromkeys(notes)), read=files)
+    files = finder.found.union(*(source.read for source in read.values()))
+    return _Source(found, Reading("z", "x"), list(dict.fromkeys(notes)), read=frozenset(files))
 
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:

@@ -91,11 +91,10 @@ def next_commands(run: RunContent, folder: str) -> list[str]:
     folder = shlex.quote(folder)
     if run.evaluation is None:
         return [f"warpav optimise --resume {folder}", f"warpav evaluate {folder}"]
-    scenes = None if run.config is None else run.config.scenes
-    is_easy = scenes is not None and scenes.source == "town" and scenes.level in (None, ("easy",))
-    if not is_easy:
+    config = run.config
+    if config is None or config.scenes.source != "town" or config.scenes.level not in (None, ("easy",)):
         return [f"warpav view {folder}"]
-    given = [each for each in overrides_from(load_config("quick"), run.config) if not each.startswith("run.out=")]
+    given = [each for each in overrides_from(load_config("quick"), config) if not each.startswith("run.out=")]
     again = f"{folder}/config.yaml scenes.level=dense run.out={folder}_dense" if given else "scenes.level=dense"
     return [f"warpav view {folder}", f"warpav optimise {again}"]
 
