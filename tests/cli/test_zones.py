@@ -62,7 +62,7 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     zones = read_zones("all.yaml")
     assert len(zones) == 8
     assert [zone.name for zone in zones if zone.is_behind_glass] == ["windscreen", "rear_window"]
-    assert "  not told    glass and paint have one colour" in said
+    assert "  not told    the windscreen has no name, and is not dark" in said
     assert any(zone.keep_out_m for zone in zones)
     # edited: the doors alone, flush
     (working_directory / "doors.yaml").write_text(

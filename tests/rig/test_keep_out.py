@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.raster.bodies import cuboid
 from warpav.raster.mesh import Mesh, merge
@@ -44,6 +45,17 @@ def body_with_parts():
             painted((0.6, 0.2, 0.62), (0.0, 0.8, 0.31), [120, 130, 140]),
         ]
     )
+
+
+def test_pale_glass_in_the_skin_of_a_side_is_told_by_its_colour():
+    box = trimesh.creation.box([4.0, 1.8, 1.4]).apply_translation([1.0, 0.0, 0.7]).subdivide_to_size(0.1)
+    x_m, y_m, z_m = box.vertices.T
+    is_pale = (y_m > 0.89) & (np.abs(x_m - 1.0) < 0.5) & (np.abs(z_m - 1.1) < 0.2)
+    found = parts_of(Mesh.create(box.vertices, box.faces, np.where(is_pale[:, None], 230, [[150, 30, 30]])))
+    assert "side windows by colour alone" in found.untold
+    ((name, side, box_m),) = found.keep_out
+    assert (name, side) == ("window", "left")
+    np.testing.assert_allclose(box_m[:, ::2], [[0.5, 0.9], [1.5, 1.3]], atol=0.1)
 
 
 def test_lamps_windows_rails_and_wheels_are_kept_out_and_logos_are_not():

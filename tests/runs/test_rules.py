@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -108,6 +109,9 @@ def test_a_run_is_judged_by_the_rules_that_it_settled(tmp_path):
         assert [found["near_ground"]["limit"], *settled] == pytest.approx(told)
         main(["check", str(folder.path), *overrides, "--out", str(page)])
         assert f"at most {told[1]:g}°" + (", as the run kept (3° wanted)" * (not overrides)) + "<" in page.read_text()
+    shutil.copy(folder.rig_path("best"), tmp_path / "other.yaml")
+    assert main(["compare", str(folder.path), str(tmp_path / "other.yaml"), "--out", str(page)]) == 0
+    assert "at most 9°" in page.read_text()
 
 
 @pytest.mark.slow

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from tests.runs.test_scenes import small_scene
+from tests.scene.test_mesh_colours import write_obj, write_texture
 from tests.scene.test_own_vehicle import of_kind, save
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.experiments._result_folder import unseeded
 from warpav.runs import load_scenes
+from warpav.runs._mounts import mount_surface
 from warpav.runs._networks import detector_use
 from warpav.runs._scene_set import own_vehicle
 from warpav.runs.config import load_config, with_absolute_paths
@@ -20,6 +22,7 @@ from warpav.scene import (
     Scene,
     Vehicle,
     ego_vehicle,
+    read_vehicle,
     read_vehicle_file,
     town_scene,
     write_scene,
@@ -100,12 +103,15 @@ def test_the_suggested_command_fixes_the_file(car, tmp_path, capsys, name, readi
             "(--rear-axle): expected a distance from the rear end of up to 4.70 m",
         ),
         (["car.ply", "--image", "car.bmp"], "car.bmp: expected a name that ends in .png"),
+        (["quad.obj", "--image", "quad.png"], "quad.png: --image: expected another file than those that the vehicle"),
         (["car.ply", "mount.cel_m=1"], "command line (mount.cel_m=1): mount.cel_m: expected one of cell_m"),
         (["car.ply", "--out", "none/car.glb"], "none/car.glb: cannot write the vehicle: No such file or directory"),
     ],
 )
 def test_wrong_input_is_one_line_and_status_2(car, tmp_path, capsys, words, message):
     save(car, tmp_path / "car.ply")
+    write_obj(tmp_path / "quad.obj")
+    write_texture(tmp_path / "quad.png")
     assert check(*words) == 2
     err = capsys.readouterr().err
     assert message in err
@@ -201,13 +207,22 @@ def test_a_name_stands_for_a_shipped_vehicle(working_directory, capsys):
 @pytest.mark.parametrize(
     ("mesh", "bonnet"),
     [
-        ("prius_hybrid/meshes/Hybrid.obj", "bonnet 0.72 m²"),
+        ("prius_hybrid/meshes/Hybrid.obj", "bonnet 0.80 m²"),
         ("hatchback/meshes/hatchback.obj", "bonnet 0.76 m²"),
     ],
 )
-def test_a_bonnet_that_a_flat_windscreen_joins_to_the_roof_is_found(vehicle_folder, capsys, mesh, bonnet):
+def test_a_flat_windscreen_between_roof_and_bonnet_carries_no_camera(vehicle_folder, capsys, mesh, bonnet):
     check(vehicle_folder / mesh)
     said = capsys.readouterr().out
     assert "no bonnet was found" not in said
     assert bonnet in said
-    assert "the windscreen is flat enough to carry cameras; warpav vehicle zones leaves it out\n" in said
+    assert "glass is left out, though flat enough to carry cameras: windscreen" in said
+
+
+@pytest.mark.parametrize("is_symmetric", ["true", "false"])
+def test_a_flat_rear_window_carries_no_camera(capsys, is_symmetric):
+    assert check("coupe", f"rig.symmetric={is_symmetric}") == 0
+    assert "glass is left out, though flat enough to carry cameras: rear window" in capsys.readouterr().out
+    surface = mount_surface(load_config("quick", [f"rig.symmetric={is_symmetric}"]), read_vehicle("coupe"))
+    x_m, y_m, _ = surface.point_m(surface.place_m, surface.height_m)[surface.inside].T
+    assert not ((x_m > -0.3) & (x_m < 0.45) & (np.abs(y_m) < 0.55)).any()  # its dark glass

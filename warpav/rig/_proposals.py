@@ -112,16 +112,23 @@ def parts_of(mesh: Mesh, kind: np.ndarray | None = None) -> BodyParts:
     if "front" in pane:  # side windows are as high as the windscreen
         floor_m = views["front"].point_m[pane["front"]][:, 2].min() - _BELT_M
         views |= {side: views[side].above(floor_m) for side in ("left", "right")}
-    if not is_told:
-        framed = _alike({side: _framed(views[side]) for side in ("left", "right")})
-        glass |= {side: glass[side] | mask for side, mask in framed.items()}
-        is_there = np.count_nonzero(framed["left"]) * _CELL_M**2 > _MIN_AREA_M2
-        (by_shape if is_there else missing).append("side windows")
+    framed = _alike({side: _framed(views[side]) for side in ("left", "right")})
+    is_by_colour = not is_told and np.count_nonzero(framed["left"]) * _CELL_M**2 <= _MIN_AREA_M2
+    if is_by_colour:  # pale glass has at least another colour than the paint
+        is_other = kind == "other colour"
+        upper = {side: views[side].is_upper & is_other[views[side].triangle] for side in framed}
+        framed = _alike({side: mask | upper[side] for side, mask in framed.items()})
+    elif not is_told:
+        by_shape.append("side windows")
+    glass |= {} if is_told else {side: glass[side] | mask for side, mask in framed.items()}
     glass = {side: mask & views[side].is_upper & ~pane.get(side, np.zeros((), bool)) for side, mask in glass.items()}
-    said = [] if is_told else ["glass and paint have one colour, and no names"]
-    said += [f"{', '.join(by_shape)} by shape alone, with the pillars in between"] if by_shape else []
-    said += [f"no {', no '.join(missing)} found"] if missing else []
     keep_out = (*_wheels(mesh, kind), *_boxed(views, glass, kind, is_named=is_named))
+    if is_by_colour and not any(name == "window" and side in ("left", "right") for name, side, _ in keep_out):
+        is_by_colour, missing = False, [*missing, "side windows"]
+    said = [] if is_told else ["the windscreen has no name, and is not dark beside the paint"]
+    said += [f"{', '.join(by_shape)} by shape alone, with the pillars in between"] if by_shape else []
+    said += ["side windows by colour alone"] if is_by_colour else []
+    said += [f"no {', no '.join(missing)} found"] if missing else []
     return BodyParts(zones, keep_out, "; ".join(said))
 
 

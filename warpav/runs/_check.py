@@ -123,7 +123,7 @@ def rule_items(rig: Rig, ego: Mesh, limits: Rules, device: str, *, wanted: Rules
             asked += f", as the run kept ({math.degrees(wanted.azimuth_gap_rad or 0.0):.3g}° wanted)"
         if each.limit is not None and each.value is not None:
             slack = (each.value - each.limit) * (1.0 if is_least else -1.0)
-            margin = f"{factor * slack:+.3g}{unit}"
+            margin = f"{factor * slack + 0.0:+.3g}{unit}"
         yield Item(
             _heading(each.rule), asked, found + cameras, margin, None if each.limit is None else each.is_kept, True
         )

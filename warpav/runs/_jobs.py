@@ -412,7 +412,8 @@ def _side_by_side(sources: Sequence[str], config: Config, progress: Progress) ->
     placement = Placement.from_config(config).prepare(progress)
     rigs = {name: _rig_to_measure(source, placement, progress) for name, source in names.items()}
     found = _measured_beside(rigs, names, placement, progress).compared()
-    evaluation = found.model_copy(update={"rules": rule_margins(rigs, placement)})
+    first = read_evaluation(RunFolder.open(sources[0])) if is_run_folder(sources[0]) else None
+    evaluation = found.model_copy(update={"rules": rule_margins(rigs, placement, first)})
     return RunContent(evaluation=evaluation, config=config), placement
 
 

@@ -30,6 +30,7 @@ from warpav.rig import (
     builtin_modules,
     chart_of,
     mount_surface_from_mesh,
+    parts_of,
     preset_on_vehicle,
     propose_zones,
     read_modules,
@@ -176,9 +177,12 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     paths = [path for path in (config.mount.zones, config.rig.catalogue) if path is not None and path.is_file()]
     files = [(str(path), path.stat().st_mtime_ns) for path in paths]
     settings = config.mount.model_dump_json(), config.rig.model_dump_json(exclude={"symmetric"})
-    made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), config.rig.is_symmetric, *files, *settings)
+    body = (ego.vertex_m.tobytes(), ego.triangle.tobytes(), ego.vertex_rgb.tobytes())
+    made_of = digest(*body, config.rig.is_symmetric, *files, *settings)
     if made_of not in _SURFACES:
         surface = _zones_chart(config, ego) if has_zones(config) else roof_surface(config, ego)
+        if config.mount.zones is None and config.rig.modules is None:
+            surface = _without_glass(surface, ego)
         for old in list(_SURFACES)[:-1]:
             del _SURFACES[old]
         _SURFACES[made_of] = surface
@@ -187,6 +191,27 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
 
 _SURFACES: dict[str, MountSurface] = {}
 """The last two, by what they follow from: a run looks for mistakes in it before it makes scenes, and takes it then."""
+
+
+_LEAST_PANE_M2, _PANE_DEPTH_M = 0.1, 0.1
+"""Less of a pane is its curved edge, and what is farther from its plane is another part of the body."""
+
+
+def _without_glass(surface: MountSurface, ego: Mesh) -> MountSurface:
+    """Roof and bonnet without windscreen and rear window, and the pillars beside them, where these are as flat."""
+    point_m, inside, left_out = surface.point_m(surface.place_m, surface.height_m), surface.inside, []
+    for pane in parts_of(ego).panes:
+        own_m = point_m @ pane.axes.T
+        corner_m = np.asarray(pane.outline_m)
+        is_near = np.abs(own_m[..., 2] - (corner_m @ pane.axes[2]).mean()) < _PANE_DEPTH_M
+        if np.count_nonzero(surface.inside & is_near & pane.holds(own_m)) * surface.cell_m**2 > _LEAST_PANE_M2:
+            along = corner_m[:, 0].min() <= point_m[..., 0], point_m[..., 0] <= corner_m[:, 0].max()
+            inside = inside & ~(is_near & along[0] & along[1])
+            left_out.append(pane.name.replace("_", " "))
+    if not left_out or not inside.any():
+        return surface
+    note = f"glass is left out, though flat enough to carry cameras: {', '.join(left_out)}"
+    return dataclasses.replace(surface, is_mountable=inside, notes=(*surface.notes, note))
 
 
 _ACROSS = np.array([1.0, -1.0, 1.0])

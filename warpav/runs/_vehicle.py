@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,9 +39,6 @@ belong to it."""
 _BONNET_SHARE = 0.8
 """A bonnet is lower than this share of the roof's height; the top of a lorry's cab is not."""
 
-_LEAST_PANE_M2 = 0.1
-"""Less of a windscreen is its curved upper edge."""
-
 
 @dataclass(frozen=True)
 class _VehicleReport:
@@ -58,7 +55,7 @@ class _VehicleReport:
 class _ZonePart:
     """A part of the mountable zone that hangs together."""
 
-    name: str  # ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``
+    name: str  # ``roof``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``
     area_m2: float  # its area seen from above [m2]
     height_m: float  # mean height above the ground [m]
 
@@ -87,6 +84,7 @@ def check_vehicle(
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
     file = read_vehicle_file(file_of(path), vertices_max=None)  # what is said counts the file's own triangles
+    _keep(file, out=out, image=image)
     given = {"up": up, "forward": forward, "scale": scale}
     stated = frozenset(name for name, value in given.items() if value is not None)
     reading = file.usual.changed(up=up, forward=forward, scale=scale)
@@ -107,19 +105,19 @@ def check_vehicle(
         )
         axle = float(remedies["rear-axle"]) if "rear-axle" in remedies else rear_axle_m
         shown = examine(file, shown_by, stated=stated | set(remedies), rear_axle_m=axle)
+    drawn = _with_colours(shown, path, shown_by)  # as `scenes.ego` has it: glass is told by its colour
     try:
-        surface = mount_surface(config, shown.corrected)
+        surface = mount_surface(config, drawn.corrected)
     except InputError as error:
         problems.append(VehicleProblem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
     lines += _shape_lines(shown)
     if surface is not None:
-        lines += _mount_lines(surface, shown.corrected)
+        lines += _mount_lines(surface, drawn.corrected)
     lines += [f"  {'note':9} {hint}" for hint in dict.fromkeys((*found.hints, *shown.hints))]
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
     is_fixable = all(problem.remedy == {} for problem in problems)
     if image is not None:
-        drawn = _with_colours(shown, path, shown_by)
         axle_m = [x + drawn.shift_m[0] for x in (drawn.wheels.axle_m if drawn.wheels else ())]
         plot(drawn.corrected, mount_surface=surface, axle_m=axle_m, title=path.name, out=image)
         lines.append(f"wrote {image}")
@@ -138,16 +136,22 @@ def check_vehicle(
     return _VehicleReport(tuple(lines), found_wrong)
 
 
+def _keep(file: VehicleFile, **target: Path | None) -> None:
+    """Refuse to write over the vehicle's own files, such as its textures."""
+    for name, path in target.items():
+        if path is not None and path.resolve() in file.read:
+            raise ArgumentError(name, "expected another file than those that the vehicle is read from", place=path)
+
+
 def _with_colours(found: Examination, path: str | Path, reading: Reading) -> Examination:
     return replace(found, mesh=read_vehicle_file(file_of(path)).in_ego_frame(reading))
 
 
-def _zone_parts(surface: MountSurface, vehicle: Mesh, pane_x_m: Sequence[float]) -> list[_ZonePart]:
-    """The parts of the mountable zone, the largest first; ``pane_x_m``: where the windscreen begins and ends.
+def _zone_parts(surface: MountSurface, vehicle: Mesh) -> list[_ZonePart]:
+    """The parts of the mountable zone, the largest first.
 
     The part with the highest point is the roof. What is lower than it by `_BONNET_BELOW` is bonnet or front before the
-    roof's centre, and rear behind it. Windscreens of many cars are flat enough to be part of the zone, and join roof
-    and bonnet.
+    roof's centre, and rear behind it.
     """
     from scipy import ndimage
 
@@ -164,26 +168,15 @@ def _zone_parts(surface: MountSurface, vehicle: Mesh, pane_x_m: Sequence[float])
         height_m, centre_x_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
         if surface.height_m[inside].max() >= highest_m - 1e-6:
             name = "roof"
-            is_ahead, is_pane = (inside & (x_m > pane_x_m[k])[:, None] for k in (1, 0))
-            is_pane &= ~is_ahead
-            if np.count_nonzero(is_pane) * surface.cell_m**2 > _LEAST_PANE_M2:
-                both = {"windscreen": is_pane, "bonnet": is_ahead}
-                parts += [_zone_part(each, surface, part) for each, part in both.items() if part.any()]
-                inside = inside & ~is_pane & ~is_ahead
-            roof_x_m = float(x_m[np.nonzero(inside)[0]].mean())
+            roof_x_m = centre_x_m
         elif height_m > highest_m - max(_BONNET_BELOW_M, _BONNET_BELOW * highest_m):
             name = "roof"
         elif centre_x_m < roof_x_m:
             name = "rear"
         else:
             name = "bonnet" if height_m < _BONNET_SHARE * highest_m else "front"
-        parts.append(_zone_part(name, surface, inside))
+        parts.append(_ZonePart(name, float(np.count_nonzero(inside)) * surface.cell_m**2, height_m))
     return sorted(parts, key=lambda part: -part.area_m2)
-
-
-def _zone_part(name: str, surface: MountSurface, inside: np.ndarray) -> _ZonePart:
-    area_m2 = float(np.count_nonzero(inside)) * surface.cell_m**2
-    return _ZonePart(name, area_m2, float(surface.height_m[inside].mean()))
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:
@@ -210,18 +203,14 @@ def _shape_lines(found: Examination) -> Iterator[str]:
 
 
 def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
-    panes = {pane.name: pane.outline_m for pane in parts_of(vehicle).panes}
-    x_m = np.asarray(panes.get("windscreen", np.full((1, 3), np.inf)))[:, 0]
-    pane_x_m = float(x_m.min()), float(x_m.max())
-    parts = _zone_parts(surface, vehicle, pane_x_m)
+    parts = _zone_parts(surface, vehicle)
     total = sum(part.area_m2 for part in parts)
     shown = ", ".join(f"{part.name} {part.area_m2:.2f} m² at {part.height_m:.2f} m" for part in parts[:5])
     yield _row("cameras", f"{total:.2f} m² can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
-    names = {part.name for part in parts}
-    if "bonnet" not in names:
+    if not any(part.name == "bonnet" for part in parts):
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")
-    if "windscreen" in names:
-        yield _row("", "the windscreen is flat enough to carry cameras; warpav vehicle zones leaves it out")
+    for note in surface.notes:
+        yield _row("", note)
     x, y, z = surface.highest_point_m()
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
 
@@ -242,6 +231,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         text, advice, _ = str(error).partition("; read it with ")
         how = f"; {shlex.join(['warpav', 'vehicle', 'check', str(path)])} says how to fix it" if advice else ""
         raise InputError(f"{text}{how}") from None
+    _keep(read_vehicle_file(file_of(path), vertices_max=None), image=image)
     names = part_names(path, mesh)
     kind = None if names is None else kinds_of_names(names)
     parts = parts_of(mesh, kind)

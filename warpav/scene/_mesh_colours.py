@@ -48,6 +48,7 @@ class FileFinder:
         self.mesh = mesh
         self.file_name = mesh.name
         self.missing: list[str] = []
+        self.found: set[Path] = set()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -65,7 +66,9 @@ class FileFinder:
 
     def find(self, name: str) -> Path | None:
         """The file of this name: where the mesh file says, else in the usual folders beside it; None without one."""
-        return next((found for each in self._candidates(_plain(name)) if (found := _on_disk(each))), None)
+        file = next((found for each in self._candidates(_plain(name)) if (found := _on_disk(each))), None)
+        self.found |= set() if file is None else {file.resolve()}
+        return file
 
     def image(self, name: str) -> Image | None:
         """The image of this name; None, and remembered as missing, if it is not there or cannot be read."""

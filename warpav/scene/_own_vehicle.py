@@ -112,6 +112,7 @@ class VehicleFile:
     # A part many times as large as all others, which it holds, and their size in the file's units and axes, [3]
     holder: tuple[str, np.ndarray] | None = None
     stated: frozenset[str] = frozenset()  # what of the usual reading the format itself settles
+    read: frozenset[Path] = frozenset()  # the file and what lies beside it and belongs to it, such as textures
 
     def in_ego_frame(self, reading: Reading) -> Mesh:
         """The vehicle in the ego frame."""
@@ -210,7 +211,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in FORMATS:  # of archives no bound is known
         raise InputError(
-            f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
+            f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}; export it "
+            "as GLB, or OBJ beside its textures"
         )
     source = _source(path, suffix)
     found, usual, is_scene, is_own = source.parts, source.usual, source.is_scene, source.is_own
@@ -237,6 +239,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         tuple(notes),
         _holder([(name, mesh.vertex[np.unique(mesh.triangle)]) for name, (mesh, _) in found]),
         frozenset({"up", "forward", "scale"} if suffix == "urdf" else ()),
+        frozenset({path.resolve(), *source.read}),
     )
 
 
@@ -249,6 +252,7 @@ class _Source:
     notes: list[str]
     is_scene: bool = False
     is_own: bool = False
+    read: frozenset[Path] = frozenset()  # files beside it
 
 
 def _source(path: Path, suffix: str) -> _Source:
@@ -292,7 +296,7 @@ def _source(path: Path, suffix: str) -> _Source:
         raise InputError(
             f"{path}: vehicle: expected a readable {suffix} file, got: {reason}; export it again"
         ) from None
-    return _Source(found, usual, [*unread, *finder.notes], is_scene, is_own)
+    return _Source(found, usual, [*unread, *finder.notes], is_scene, is_own, frozenset(finder.found))
 
 
 def _robot(path: Path, finder: FileFinder) -> _Source:
@@ -333,7 +337,8 @@ def _robot(path: Path, finder: FileFinder) -> _Source:
             found.append((visual.link, (moved, texture if visual.rgb is None else None)))
         if sum(len(mesh.triangle) for _, (mesh, _) in found) > TRIANGLES_MAX:
             raise ValueError(f"more than {TRIANGLES_MAX:,} triangles in all links")
-    return _Source(found, Reading("z", "x"), list(dict.fromkeys(notes)))
+    files = finder.found.union(*(source.read for source in read.values()))
+    return _Source(found, Reading("z", "x"), list(dict.fromkeys(notes)), read=frozenset(files))
 
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:

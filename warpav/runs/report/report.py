@@ -61,7 +61,7 @@ _FIGURES = {
     "requirements_start": "Points that have to be seen, and how many cameras see them: at the start",
     "requirements_by_hand": "Points that have to be seen, and how many cameras see them: by hand",
     "requirements_found": "Points that have to be seen, and how many cameras see them: found",
-    "detections": "A test scene, with boxes at the detector's own threshold",
+    "detections": "A test scene, with boxes at the detector's own threshold; violet: the own body",
     "range": "Up to which distance road users are detected",
     "redundancy": "How many cameras see a road user, and without the worst camera to lose",
     "sensitivity": "What errors of mounting and the loss of a camera cost",

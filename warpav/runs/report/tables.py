@@ -9,6 +9,7 @@ from warpav.core.errors import one_line
 from warpav.core.table import Table
 from warpav.runs._drawn_run import heading_of
 from warpav.runs._terminal import Group, Terminal, drawn, shown
+from warpav.runs.config import load_config, overrides_from
 from warpav.runs.report._content import RunContent
 from warpav.runs.report._statements import (
     MINUS,
@@ -90,9 +91,12 @@ def next_commands(run: RunContent, folder: str) -> list[str]:
     folder = shlex.quote(folder)
     if run.evaluation is None:
         return [f"warpav optimise --resume {folder}", f"warpav evaluate {folder}"]
-    scenes = None if run.config is None else run.config.scenes
-    is_easy = scenes is not None and scenes.source == "town" and scenes.level in (None, ("easy",))
-    return [f"warpav view {folder}", *(["warpav optimise scenes.level=dense"] if is_easy else [])]
+    config = run.config
+    if config is None or config.scenes.source != "town" or config.scenes.level not in (None, ("easy",)):
+        return [f"warpav view {folder}"]
+    given = [each for each in overrides_from(load_config("quick"), config) if not each.startswith("run.out=")]
+    again = f"{folder}/config.yaml scenes.level=dense run.out={folder}_dense" if given else "scenes.level=dense"
+    return [f"warpav view {folder}", f"warpav optimise {again}"]
 
 
 def show_everything(console: Terminal, run: RunContent) -> None:
