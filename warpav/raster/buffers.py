@@ -344,10 +344,7 @@ class Buffers:
             outputs=[rays.widest_cosine, rays.is_flat],
         )
         self.launch(
-            kernels.place_blocks_kernel,
-            (count, rows, columns),
-            inputs=[rays.ray],
-            outputs=[rays.block, rays.block_row],
+            kernels.place_blocks_kernel, (count, rows, columns), inputs=[rays.ray], outputs=[rays.block, rays.block_row]
         )
 
     def reserve_samples(self, sample_count: int) -> None:

@@ -296,10 +296,7 @@ class TexturedMesh:
 
 
 def follow_textures(
-    mesh: TexturedMesh,
-    textures: Sequence[Texture],
-    *,
-    vertices_max: int = VERTICES_MAX,
+    mesh: TexturedMesh, textures: Sequence[Texture], *, vertices_max: int = VERTICES_MAX
 ) -> TexturedMesh:
     """Split triangles until the colours follow the textures, or there are enough vertices."""
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)

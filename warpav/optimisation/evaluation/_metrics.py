@@ -56,12 +56,7 @@ PAIRED_METRICS = (
     "objective",
 )
 
-OPTIONAL_METRICS = (
-    "weighted_misses_per_100",
-    "attainable_rate",
-    "attainable_misses_per_100",
-    "redundant_rate",
-)
+OPTIONAL_METRICS = ("weighted_misses_per_100", "attainable_rate", "attainable_misses_per_100", "redundant_rate")
 """Metrics that not every evaluation has: where the objects have weights (section ``importance``), where it is known
 which of them are attainable (`attainable_objects`), and where some are near; defined per scene as well, but for the
 attainable rate."""

@@ -57,12 +57,7 @@ class SceneryBuilder:
         self._colour.append(np.broadcast_to(colour, corner_m.shape))
 
     def add_ground(
-        self,
-        rectangle_m: Rectangle,
-        height_m: float,
-        colour: np.ndarray,
-        mottle: float,
-        cell_m: float = _GROUND_CELL_M,
+        self, rectangle_m: Rectangle, height_m: float, colour: np.ndarray, mottle: float, cell_m: float = _GROUND_CELL_M
     ) -> None:
         """Add a level rectangle in cells of a few metres whose brightness varies by ``mottle``."""
         x_low, y_low, x_high, y_high = rectangle_m

@@ -99,13 +99,7 @@ class SurfaceBuilder:
         self.add_mirrored_grid(np.array(center_m) + direction * np.array(radius_m), material)
 
     def add_tube(
-        self,
-        centre_m: ArrayLike,
-        radius_m: ArrayLike,
-        material: np.ndarray | int,
-        *,
-        sides: int,
-        cap: float = 0.45,
+        self, centre_m: ArrayLike, radius_m: ArrayLike, material: np.ndarray | int, *, sides: int, cap: float = 0.45
     ) -> None:
         """Add a closed tube along a path; ``centre_m`` [ring, 3], ``radius_m`` [ring, 2], [ring] or one for all."""
         centre, radius = np.asarray(centre_m, np.float64), np.asarray(radius_m, np.float64)

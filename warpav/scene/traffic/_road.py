@@ -129,11 +129,7 @@ class Road:
         kerb = np.full(3, pavement[1] + 0.09)
         mottle = 0.006 * rng.standard_normal(len(point_m))[:, None]
         fade = np.clip(self.distance_m(point_m) / self.pavement_m, 0.0, 1.0)[:, None]
-        colour = (
-            asphalt + mottle,
-            pavement * (1.0 - PAVEMENT_FADE * fade),
-            land + 2.0 * mottle,
-        )
+        colour = (asphalt + mottle, pavement * (1.0 - PAVEMENT_FADE * fade), land + 2.0 * mottle)
         vertices, triangles, colours = [], [], []
         first = 0
         for number in range(3):
