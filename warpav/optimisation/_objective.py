@@ -267,7 +267,6 @@ class RigObjective:
         return total if total > 0 else 1
 
     def _needs(self, schedule: LossSchedule) -> Needs:
-        """What the losses need together."""
         return reduce(or_, (loss.needs(schedule) for _, loss in self.losses), Needs())
 
     def evaluate(

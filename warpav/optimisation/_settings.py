@@ -391,8 +391,8 @@ class LidarSettings(Section):
     fusion: Annotated[str, BeforeValidator(_read_fusion), Expectation(_FUSION_TEXT), WithJsonSchema(NUMBER_OR_TEXT)] = (
         Field(
             default="any",
-            description="who must find a road user: any sensor; both a camera and a LiDAR (or radar); or both nearer than "
-            "so many metres from the ego frame's origin, any beyond",
+            description="who must find a road user: any sensor; both a camera and a LiDAR (or radar); or both nearer "
+            "than so many metres from the ego frame's origin, any beyond",
         )
     )
 

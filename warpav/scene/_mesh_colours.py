@@ -60,7 +60,6 @@ class FileFinder:
 
     @property
     def lacks_materials(self) -> bool:
-        """Whether the file of the materials is not there."""
         return any(name.lower().endswith(_MATERIAL_SUFFIX) for name in self.missing)
 
     def find(self, name: str) -> Path | None:

@@ -197,7 +197,6 @@ def _mapped(file: Path, *, is_checked: bool) -> np.ndarray:
 
 
 def _packed(recipe: SceneRecipe) -> np.ndarray:
-    """A scene, packed, as one structured element."""
     scene, left_out = recipe.scene()
     packed = DeviceScene.pack(scene)
     arrays = {

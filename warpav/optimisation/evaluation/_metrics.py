@@ -676,7 +676,6 @@ class _Boxes:
         return _number(average_precision([ImageScore(confidence, hits, len(up_to))]))
 
     def ap50_of_scenes(self) -> list[float | None]:
-        """AP50 over the images of each scene."""
         count = self.false_alarms.shape[1]
         return [
             _mean(np.array([average_precision(images[count * k : count * (k + 1)]) for images in self._images]))
@@ -718,7 +717,6 @@ def _recall_by(
 
 
 def _misses(recall: float | None) -> float | None:
-    """Misses per 100."""
     return None if recall is None else 100.0 * (1.0 - recall)
 
 

@@ -105,7 +105,6 @@ class SceneryBuilder:
         self._house_x_m = np.nan
 
     def add_plan(self, layout: Layout, markings: Iterable[Marking]) -> None:
-        """Add roads, markings, more of these, and blocks of a plan."""
         for rectangle in layout.asphalt_m:
             self.add_asphalt(rectangle)
         for marking in (*layout.markings, *markings):
@@ -166,7 +165,6 @@ class SceneryBuilder:
         self._add_sheet(point, np.broadcast_to(shade, point.shape))
 
     def add_block(self, block: Block) -> None:
-        """Add kerb, pavement and the houses of a block."""
         rng = self._rng
         x_low, y_low, x_high, y_high = block.rectangle_m
         kerb_colour = np.full(3, self._pavement_grey + 0.09)

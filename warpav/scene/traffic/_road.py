@@ -419,7 +419,6 @@ class Roadside:
     """Collects what stands on the land, clear of everything else."""
 
     def __init__(self, road: Road, taken: Sequence[Footprint], rng: np.random.Generator) -> None:
-        """Nothing yet."""
         self._road = road
         self._rng = rng
         self._taken = Occupied(taken)  # what furniture keeps clear of
