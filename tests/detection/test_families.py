@@ -285,8 +285,7 @@ def test_outputs_of_no_family_are_listed(tmp_path):
 def test_a_format_that_does_not_fit_is_refused(tmp_path, name):
     path = write_network(tmp_path / "mine.onnx", "ultralytics", metadata=NAMES)
     with pytest.raises(
-        InputError,
-        match=rf"mine\.onnx: detector\.format={name}: expected .*output0 \[\?, 7, 2\] float32, 3 labels",
+        InputError, match=rf"mine\.onnx: detector\.format={name}: expected .*output0 \[\?, 7, 2\] float32, 3 labels"
     ):
         OnnxDetector(path, family=name)
 

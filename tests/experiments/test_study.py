@@ -98,15 +98,9 @@ def test_arms_of_the_thesis_have_its_weights():
         (["rivals"], "(--setting): expected a word of each of these with _ between: dense sind ngsim; 2 4 6"),
         (["rivals", "--setting", "sind_3_rack"], "got sind_3_rack"),
         (["rivals", "--setting", "ngsim_4_rack"], "scenes.recordings: expected a value for rivals_ngsim_4_rack"),
-        (
-            ["open", "--setting", "dense_4_roof"],
-            "(--setting): expected nothing, as open has no settings",
-        ),
+        (["open", "--setting", "dense_4_roof"], "(--setting): expected nothing, as open has no settings"),
         (["open", "--vary", "cameras"], "(--vary): expected nothing, as it is an option of sweep"),
-        (
-            ["sweep", "--vary", "colour"],
-            "(--vary): expected a factor out of cameras, fov, height, traffic",
-        ),
+        (["sweep", "--vary", "colour"], "(--vary): expected a factor out of cameras, fov, height, traffic"),
         (["sweep", "--vary", "cameras=few"], "(--vary): expected values of cameras with commas, numbers, got 'few'"),
         (["sweep", "--vary", "traffic=none"], "out of dense, easy, motorway, sind, urban"),
         (["open", "--arms", "nuscense"], "did you mean nuscenes"),

@@ -208,9 +208,5 @@ def bump():
     fence = _block([0.2, 30.0, 3.2], [5.0, 0.0, 0.0], roll_rad=0.06)
     van = _vehicle(0, [2.4, 5.0, 2.6], [9.0, 0.0, 1.3])
     return World(
-        "bump",
-        _scene("bump", [fence], _body(surface, 2), [van]),
-        surface,
-        (0.5410202, -0.2008734, 0.4767085),
-        single,
+        "bump", _scene("bump", [fence], _body(surface, 2), [van]), surface, (0.5410202, -0.2008734, 0.4767085), single
     )

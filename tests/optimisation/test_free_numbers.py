@@ -100,11 +100,7 @@ def test_a_start_keeps_what_is_free_and_takes_the_rest_as_configured(rng):
         (CameraModel(64, 32, math.pi / 2), 45.0, math.degrees(math.atan(0.5))),
         (CameraModel(64, 32, math.radians(200.0), lens="fisheye"), 100.0, 50.0),
         (CameraModel(64, 64, math.radians(200.0), lens="fisheye"), 100.0, 100.0),
-        (
-            CameraModel(64, 32, math.radians(170.0), lens="panorama"),
-            85.0,
-            math.degrees(math.atan(math.radians(42.5))),
-        ),
+        (CameraModel(64, 32, math.radians(170.0), lens="panorama"), 85.0, math.degrees(math.atan(math.radians(42.5)))),
     ],
 )
 def test_windows_are_as_wide_and_high_as_the_image_of_any_lens(model, half_width_deg, half_height_deg):

@@ -107,11 +107,6 @@ def test_what_no_camera_of_the_pool_can_meet_is_named():
     with pytest.raises(InputError, match=r"^requirement near: \d+ points that the pool cannot meet, such as \("):
         next(
             pool_search(
-                cameras_of(mount=mount_of()),
-                streets(),
-                constraints_of(3),
-                3,
-                settings=SMALL,
-                requirements=ghosts,
+                cameras_of(mount=mount_of()), streets(), constraints_of(3), 3, settings=SMALL, requirements=ghosts
             )
         )

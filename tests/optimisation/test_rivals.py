@@ -126,13 +126,7 @@ def chance(camera_count):
 
 
 @pytest.mark.parametrize("camera_count", [1, pytest.param(3, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize(
-    ("method", "most"),
-    [
-        (sobol_search, 1.0),
-        pytest.param(cma_es, 0.01, marks=needs_cma),
-    ],
-)
+@pytest.mark.parametrize(("method", "most"), [(sobol_search, 1.0), pytest.param(cma_es, 0.01, marks=needs_cma)])
 def test_searches_beat_chance_on_a_bowl(method, most, camera_count):
     found = np.median([search(method, camera_count, seed=seed, renders=512, each=1).value for seed in range(7)])
     assert found <= most * chance(camera_count)
@@ -303,13 +297,7 @@ class Counted:
 
 
 @pytest.mark.parametrize("renders", [13, 40])
-@pytest.mark.parametrize(
-    "method",
-    [
-        pytest.param(random_search, id="random"),
-        pytest.param(greedy_cover, id="greedy"),
-    ],
-)
+@pytest.mark.parametrize("method", [pytest.param(random_search, id="random"), pytest.param(greedy_cover, id="greedy")])
 def test_renders_are_counted_as_they_are_made(method, renders):
     objective, scenes = Counted(), street_scenes()
     budget = street_budget(objective, scenes, renders)

@@ -34,11 +34,7 @@ class Steps:
             AssignedScene(scene, (np.arange(car_count) % 2).astype(np.int32)),
             2,
             thesis_losses(
-                epsilon=0.05,
-                surface_blockage=3.0,
-                object_visibility=2.0,
-                angular_coverage=1.5,
-                min_unblocked_area=1.0,
+                epsilon=0.05, surface_blockage=3.0, object_visibility=2.0, angular_coverage=1.5, min_unblocked_area=1.0
             ),
             reference=Reference.ALONE,
             recorded=recorded,

@@ -5,10 +5,7 @@ import pytest
 
 from tests.optimisation.test_missed import POSE, objective_of, scenes_of
 from warpav.core.errors import InputError
-from warpav.optimisation import (
-    YAW_RAD,
-    ExpectedMissRate,
-)
+from warpav.optimisation import YAW_RAD, ExpectedMissRate
 
 
 def misses(probability, objects):

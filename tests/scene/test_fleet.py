@@ -186,10 +186,7 @@ def test_what_is_wrong_beside_a_mesh_is_refused_in_one_line(tmp_path, text, mess
 @pytest.mark.parametrize(
     ("vehicles", "message"),
     [
-        (
-            "empty",
-            "expected mesh files (glb, gltf, obj, dae, ply, stl, off, usd, usda, usdc, usdz, step",
-        ),
+        ("empty", "expected mesh files (glb, gltf, obj, dae, ply, stl, off, usd, usda, usdc, usdz, step"),
         ("broken", "broken.glb: vehicle: expected a readable glb file"),
         ("nowhere", "no such file"),
         (SHIPPED.replace("pp", "p"), "did you mean shipped?"),

@@ -188,10 +188,7 @@ def test_a_gltf_without_its_texture_is_grey_and_without_its_buffer_refused(tmp_p
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            ("<COLLADA", "<OTHER"),
-            "dae file, got: line [0-9]+: expected COLLADA, got a syntax error: mismatched",
-        ),
+        (("<COLLADA", "<OTHER"), "dae file, got: line [0-9]+: expected COLLADA, got a syntax error: mismatched"),
         (('source="#pos"', 'source="#none"'), "expected a readable dae file"),
         (("2 2 0 0 2 2 3 3</p>", "2 2 0 0 2 2 9 3</p>"), "maxindex=9.* beyond the limits"),
         (('count="4" stride="3"', 'count="40" stride="3"'), "of 4 rows instead of 40"),

@@ -51,11 +51,7 @@ def test_links_stand_where_their_joints_put_them(tmp_path, named):
     assert (file.usual.up, file.usual.forward, file.usual.scale, file.part) == ("z", "x", 1.0, "3 parts")
     ends = {
         name: [part.min(axis=0).round(4).tolist(), part.max(axis=0).round(4).tolist()]
-        for name, part in (
-            ("base", file.vertex[:8]),
-            ("wheel", file.vertex[8:-36]),
-            ("mast", file.vertex[-36:]),
-        )
+        for name, part in (("base", file.vertex[:8]), ("wheel", file.vertex[8:-36]), ("mast", file.vertex[-36:]))
     }
     assert ends["base"] == [[-0.1, -0.3, 0.15], [1.1, 0.3, 0.45]]
     np.testing.assert_allclose(ends["wheel"], [[-0.15, 0.3, 0.0], [0.15, 0.4, 0.3]], atol=2e-4)  # it has 32 sides

@@ -12,12 +12,7 @@ from warpav.detection._matching import iou_matrix
 COCO_IOU = tuple(float(value) for value in np.linspace(0.5, 0.95, 10))
 """The thresholds of AP@[.5:.95]."""
 
-COCO_AREA_PX2 = {
-    "all": (0.0, 1e10),
-    "small": (0.0, 32.0**2),
-    "medium": (32.0**2, 96.0**2),
-    "large": (96.0**2, 1e10),
-}
+COCO_AREA_PX2 = {"all": (0.0, 1e10), "small": (0.0, 32.0**2), "medium": (32.0**2, 96.0**2), "large": (96.0**2, 1e10)}
 """Least and greatest area of a box [px^2]; both belong to the range, so a box of 32 x 32 px is small and medium."""
 
 # As many images as are matched at once; more would only need more memory.

@@ -36,11 +36,7 @@ _ROAD_USER_LABELS = {
     "pedestrian": ("pedestrian", "person", "people"),
     "cyclist": ("cyclist", "bicyclist", "rider"),
 }
-_PROVIDERS = {
-    "cpu": "CPUExecutionProvider",
-    "cuda": "CUDAExecutionProvider",
-    "tensorrt": "TensorrtExecutionProvider",
-}
+_PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider", "tensorrt": "TensorrtExecutionProvider"}
 
 _BATCH_MAX = 32
 # Beyond this many candidates the least confident are dropped.
@@ -331,8 +327,7 @@ class OnnxDetector:
                     raise OptionError(f"detector.classes.{user}", f"expected {expected}, got {label!r}{hint}")
                 if named.setdefault(label, user) != user:
                     raise OptionError(
-                        "detector.classes",
-                        f"expected {label!r} in one list, got it in {named[label]} and {user}",
+                        "detector.classes", f"expected {label!r} in one list, got it in {named[label]} and {user}"
                     )
         found: dict[str, np.ndarray] = {}
         for user in ROAD_USERS:

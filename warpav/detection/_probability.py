@@ -72,13 +72,7 @@ class Appearance:
     height_px: int  # height of the images [px]
 
     @classmethod
-    def of(
-        cls,
-        frame: Frame,
-        scene: DeviceScene,
-        *,
-        measures: Measures | None = None,
-    ) -> Appearance:
+    def of(cls, frame: Frame, scene: DeviceScene, *, measures: Measures | None = None) -> Appearance:
         """Measure the last render; nothing is taped."""
         measures = frame.measure() if measures is None else measures
         in_frame, contrast = frame.window_area(visible=False), frame.contrast(measures.value)
@@ -429,12 +423,7 @@ def whole_solid_angle(position_ego_m: wp.array, box: UprightBoxes, *, vehicle_co
 
 
 def line_of_sight(
-    position_ego_m: wp.array,
-    camera_from_ego: wp.array,
-    lens: wp.array,
-    centre_ego_m: wp.array,
-    *,
-    vehicle_count: int,
+    position_ego_m: wp.array, camera_from_ego: wp.array, lens: wp.array, centre_ego_m: wp.array, *, vehicle_count: int
 ) -> tuple[wp.array, wp.array]:
     """Elevation and uprightness of `WholeObjects`, recorded on the active tape; both float [view, vehicle]."""
     device, pairs = position_ego_m.device, (len(position_ego_m), vehicle_count)

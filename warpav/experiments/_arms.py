@@ -107,7 +107,6 @@ class Arm:
 
     @property
     def is_preset(self) -> bool:
-        """Whether its rig is that of a known vehicle."""
         return self.method.removesuffix(_AS_BUILT) in preset_names()
 
     @property

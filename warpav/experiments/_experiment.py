@@ -269,11 +269,7 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
         else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
         "camera_renders": found.camera_renders,
-        "seconds": {
-            "load": loaded - began,
-            "search": searched - loaded,
-            "evaluate": time.perf_counter() - searched,
-        },
+        "seconds": {"load": loaded - began, "search": searched - loaded, "evaluate": time.perf_counter() - searched},
         "rig": yaml.safe_load(rig_file.read_text(encoding="utf-8")),
         "history": found.history,
     }

@@ -55,7 +55,16 @@ def draw_method_figure(
         case 12:
             if run is not None:
                 raise InputError("figure 12: expected a configuration, got a run; the highest rig needs none")
-            return _highest(config, path, progress=progress)
+            scenes = list(
+                progress.steps(
+                    "scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds)
+                )
+            )
+            ego = scenes[0].ego
+            rig = find_rig("highest", config, ego)
+            surface = camera_mount(config, ego).surface
+            views = _observer(config, progress)(rig, scenes, "test scenes")
+            return highest_rig(rig, views, path, surface=surface)
     raise InputError(f"figure: expected one of {', '.join(map(str, RIG_NUMBERS))}, got {number}")
 
 
@@ -149,15 +158,3 @@ def _before_and_after(config: Config, path: Path, *, run: RunFolder | None, prog
         "On test scenes": (result, observe(result, test, "test scenes")),
     }
     return before_and_after(rows, path)
-
-
-def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
-    """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in all test scenes."""
-    scenes = list(
-        progress.steps("scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds))
-    )
-    ego = scenes[0].ego
-    rig = find_rig("highest", config, ego)
-    surface = camera_mount(config, ego).surface
-    views = _observer(config, progress)(rig, scenes, "test scenes")
-    return highest_rig(rig, views, path, surface=surface)

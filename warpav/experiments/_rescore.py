@@ -21,14 +21,7 @@ from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import device_name
 from warpav.experiments._arms import resized
 from warpav.experiments._experiment import Finished, make_scenes_ready, outcomes, show_rows, traffic_of_process
-from warpav.experiments._result_folder import (
-    DESCRIPTION,
-    RESULTS,
-    read_description,
-    read_json,
-    results_in,
-    unseeded,
-)
+from warpav.experiments._result_folder import DESCRIPTION, RESULTS, read_description, read_json, results_in, unseeded
 from warpav.experiments._rows import ROWS, read_rows
 from warpav.optimisation import LOSSES, metrics_of, observe_scenes
 from warpav.rig import read_rig

@@ -257,14 +257,7 @@ def _settings(rows: Sequence[_Row], *shown: str) -> Table:
         fewer = _difference(rows, study, OWN_JUDGE, hand)
         near = " / ".join(filter(None, (_near(arms[arm]) for arm in (hand, "default"))))
         lines.append([name, f"{missed[hand]} ({hand.replace('_', '-')})", missed["default"], fewer, *others, near])
-    heads = [
-        "best by hand",
-        "warpav",
-        "fewer [95 %]",
-        "without rules",
-        "random, selected",
-        "25 cm higher",
-    ]
+    heads = ["best by hand", "warpav", "fewer [95 %]", "without rules", "random, selected", "25 cm higher"]
     table = ["traffic, cameras, mount", *heads, "ground seen from [m]"]
     kept = [k for k in range(len(table)) if any(line[k] for line in lines)]
     return Table.of([table[k] for k in kept], [[line[k] for k in kept] for line in lines])

@@ -40,12 +40,7 @@ RIG_NUMBERS = (10, 11, 12)
 
 
 def draw_figure(
-    number: int,
-    path: Path | str,
-    *,
-    seed: int | None = None,
-    capture: Path | None = None,
-    scenes: Path | None = None,
+    number: int, path: Path | str, *, seed: int | None = None, capture: Path | None = None, scenes: Path | None = None
 ) -> Path:
     path = checked_figure(path, (".png",))
     if number == _COLLECTION_NUMBER:

@@ -217,10 +217,7 @@ def _parts(file: _StudyFile, setting: str | None) -> list[_Setting]:
         if "_".join(word for word, _ in words if word) == setting:
             return [part for _, part in words]
     parts = "; ".join(filter(None, (" ".join(filter(None, each)) for each in file.words)))
-    raise ArgumentError(
-        "setting",
-        f"expected a word of each of these with _ between: {parts}, got {setting or 'none'}",
-    )
+    raise ArgumentError("setting", f"expected a word of each of these with _ between: {parts}, got {setting or 'none'}")
 
 
 def _varied(

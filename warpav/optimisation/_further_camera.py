@@ -84,7 +84,6 @@ class FurtherCameras:
         return "\n".join("  ".join(text.rjust(width[k]) for k, text in enumerate(row)) for row in ([*_COLUMNS], *lines))
 
     def _repr_html_(self) -> str:
-        """The same, as Jupyter shows it."""
         heading = "".join(f"<th>{html.escape(name)}</th>" for name in _COLUMNS)
         lines = "".join(
             "<tr>" + "".join(f"<td>{value:.2f}</td>" for value in row.values()) + "</tr>" for row in self.rows()

@@ -50,7 +50,6 @@ class HandRig:
     value: float = math.inf  # of the objective
 
     def __str__(self) -> str:
-        """Its name, and what was varied."""
         return f"{self.name}, {self.numbers}" if self.numbers else self.name
 
 
@@ -99,7 +98,12 @@ def directions_rad(name: str, count: int, first_deg: float) -> np.ndarray:
 def _layout(name: str, mount: CameraMount, constraints: Constraints, count: int, first_deg: float) -> _Layout:
     """Where the cameras of ``corners``, ``cross`` or a known vehicle look and stand."""
     if constraints.module is not None:
-        return _of_modules(name, mount, constraints.module, first_deg)
+        yaw_rad = np.zeros(len(constraints.module))
+        for kind in np.unique(constraints.module):
+            own = np.flatnonzero(constraints.module == kind)
+            is_pair = mount.surface.pairs[kind] if mount.is_symmetric else None
+            yaw_rad[own] = _directions_of_role(mount.roles[kind], name, len(own), first_deg, is_pair=is_pair)
+        return _looking_outwards(yaw_rad, constraints.module)
     found = _as_built(name) if name in AS_BUILT else _looking_outwards(directions_rad(name, count, first_deg))
     return found.of_pairs() if mount.is_symmetric else found
 
@@ -120,16 +124,6 @@ def _as_built(name: str) -> _Layout:
     ahead = np.abs(np.sin(yaw_rad)) < math.sin(_SAME_RAD)
     side[ahead, 1] = 0.0  # those that look along the vehicle stand in its middle
     return _Layout(np.where(ahead, np.where(np.cos(yaw_rad) > 0.0, 0.0, math.pi), yaw_rad), side)
-
-
-def _of_modules(name: str, mount: CameraMount, kinds: np.ndarray, first_deg: float) -> _Layout:
-    """Modules where their role has them, each kind by itself; of symmetric mounts pairs and single ones apart."""
-    yaw_rad = np.zeros(len(kinds))
-    for kind in np.unique(kinds):
-        own = np.flatnonzero(kinds == kind)
-        is_pair = mount.surface.pairs[kind] if mount.is_symmetric else None
-        yaw_rad[own] = _directions_of_role(mount.roles[kind], name, len(own), first_deg, is_pair=is_pair)
-    return _looking_outwards(yaw_rad, kinds)
 
 
 def _directions_of_role(role: Role, name: str, count: int, first_deg: float, *, is_pair: bool | None) -> np.ndarray:

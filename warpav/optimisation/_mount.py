@@ -490,12 +490,7 @@ def named_by_direction(cameras: Sequence[RigCamera]) -> list[RigCamera]:
 
 
 def views_of_rig(
-    rig: Rig,
-    *,
-    rotation_count: int,
-    rotation_step_rad: float,
-    device: str = "cpu",
-    mount: CameraMount | None = None,
+    rig: Rig, *, rotation_count: int, rotation_step_rad: float, device: str = "cpu", mount: CameraMount | None = None
 ) -> PlacedViews:
     """Poses of all views of a rig that stands anywhere; nothing is taped."""
     position, rotation = [], []

@@ -39,12 +39,7 @@ from warpav.optimisation._single_cameras import SingleCameras
 from warpav.optimisation.losses._expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses._lagrangian import lagrangian_of
 from warpav.optimisation.losses._loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
-from warpav.optimisation.losses._scene_on_tape import (
-    AssignedScene,
-    CameraProbability,
-    ObjectProbability,
-    SceneOnTape,
-)
+from warpav.optimisation.losses._scene_on_tape import AssignedScene, CameraProbability, ObjectProbability, SceneOnTape
 from warpav.optimisation.losses._user_loss import LossFunction, UserLoss
 from warpav.raster.areas import Measures
 from warpav.raster.camera import CameraModel
@@ -272,7 +267,6 @@ class RigObjective:
         return total if total > 0 else 1
 
     def _needs(self, schedule: LossSchedule) -> Needs:
-        """What the losses need together."""
         return reduce(or_, (loss.needs(schedule) for _, loss in self.losses), Needs())
 
     def evaluate(

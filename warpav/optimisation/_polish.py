@@ -82,10 +82,7 @@ class PolishSteps:
 
 
 def polish(
-    mount_pose: np.ndarray,
-    detect: Callable[[np.ndarray], Detected],
-    task: PolishTask,
-    steps: PolishSteps | None = None,
+    mount_pose: np.ndarray, detect: Callable[[np.ndarray], Detected], task: PolishTask, steps: PolishSteps | None = None
 ) -> Iterator[_PolishStep]:
     """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
 

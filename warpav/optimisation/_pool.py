@@ -84,7 +84,6 @@ def _spread(
     module: int,
     allowed: Callable[[np.ndarray], np.ndarray] | None,
 ) -> np.ndarray:
-    """Cameras of one module, as `spread_mount_poses`."""
     from scipy.stats import qmc
 
     numbers = np.r_[X_M, Y_M, YAW_RAD, np.flatnonzero(mount.is_free)]

@@ -353,7 +353,6 @@ class PoolSearch:
             yield self._found("start")
 
     def try_by_hand(self) -> None:
-        """Try rigs by hand, whose cameras join the pool."""
 
         def values_of(rigs: Sequence[np.ndarray]) -> list[float]:
             new = np.unique(np.concatenate(rigs), axis=0)
@@ -522,7 +521,6 @@ class PoolSearch:
 
     @property
     def camera_renders(self) -> int:
-        """Camera renders so far."""
         return self.pool.drawn_count + self.pool.cached_count
 
     @property
@@ -652,6 +650,8 @@ class PoolSearch:
     def _polish(self, rig: list[list[float]], step_count: int, radius: float) -> Iterator[Found]:
         if self._affordable(len(rig)) < len(rig):
             return
+        asked = [] if self.points is None else [hard_points(self.cameras, self.points)]
+        asked += [] if self.rules is None else [HardPoints(self.rules.margins, self.rules.needed)]
         task = PolishTask(
             self.cameras.mount,
             self.constraints,
@@ -659,7 +659,7 @@ class PoolSearch:
             weight=self.object_weight,
             charge=self.charge,
             robust=self.robust,
-            hard_points=self._hard_points,
+            hard_points=HardPoints.of_all([each for each in asked if each is not None]),
             pair_edges=None if self.rules is None else self.rules.pair_edges,
             is_allowed=self._is_allowed,
         )
@@ -673,13 +673,6 @@ class PoolSearch:
                 break
         if not is_better:  # what the last steps have cost is the polish's too
             yield self._found("polish")
-
-    @property
-    def _hard_points(self) -> HardPoints | None:
-        """Requirements and rules that a polish keeps by their tangents."""
-        asked = [] if self.points is None else [hard_points(self.cameras, self.points)]
-        asked += [] if self.rules is None else [HardPoints(self.rules.margins, self.rules.needed)]
-        return HardPoints.of_all([each for each in asked if each is not None])
 
     def _is_allowed(self, mount_pose: np.ndarray, probability: np.ndarray) -> bool:
         return self._meets_requirements(probability) and self._keeps_rules(mount_pose)
@@ -729,7 +722,6 @@ class PoolSearch:
 
     @property
     def _replacements(self) -> Replacements:
-        """What would come of the best rig with one camera replaced."""
         pool, rig, held = self.pool, self._rows_of_best(), len(self.assembly.frozen)
         conflict = self._conflict(pool.mount_pose)
         module = self.cameras.mount.module_of(pool.mount_pose)

@@ -279,10 +279,7 @@ class ImportanceSettings(Section):
     """What matters: weights of road users in objective and metrics, relative to their mean; theirs is the product."""
 
     category: Annotated[
-        dict[str, float],
-        BeforeValidator(_read_categories),
-        Expectation(_CATEGORY_TEXT),
-        WithJsonSchema(_TABLE_SCHEMA),
+        dict[str, float], BeforeValidator(_read_categories), Expectation(_CATEGORY_TEXT), WithJsonSchema(_TABLE_SCHEMA)
     ] = Field(
         default={},
         description="by category, such as lorry, or by kind: vehicle, pedestrian, cyclist; of both the category "
@@ -334,10 +331,7 @@ class RobustSettings(Section):
         "in each direction; null: none",
     )
     mount_error_deg: Degrees | None = Field(
-        default=None,
-        gt=0.0,
-        le=30.0,
-        description="the same of its yaw, pitch and roll; null: none",
+        default=None, gt=0.0, le=30.0, description="the same of its yaw, pitch and roll; null: none"
     )
 
     @model_validator(mode="after")
@@ -394,15 +388,12 @@ class LidarSettings(Section):
         default="ignored",
         description="whether a point counts by the cosine of its incidence, as diffuse surfaces return",
     )
-    fusion: Annotated[
-        str,
-        BeforeValidator(_read_fusion),
-        Expectation(_FUSION_TEXT),
-        WithJsonSchema(NUMBER_OR_TEXT),
-    ] = Field(
-        default="any",
-        description="who must find a road user: any sensor; both a camera and a LiDAR (or radar); or both nearer than "
-        "so many metres from the ego frame's origin, any beyond",
+    fusion: Annotated[str, BeforeValidator(_read_fusion), Expectation(_FUSION_TEXT), WithJsonSchema(NUMBER_OR_TEXT)] = (
+        Field(
+            default="any",
+            description="who must find a road user: any sensor; both a camera and a LiDAR (or radar); or both nearer "
+            "than so many metres from the ego frame's origin, any beyond",
+        )
     )
 
     @property
@@ -485,8 +476,7 @@ class VisibilitySettings(Section):
     """What hides a vehicle."""
 
     occlusion: Literal["pairwise", "exact"] = Field(
-        default="exact",
-        description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything",
+        default="exact", description="pairwise: whole vehicles by their relative depth; exact: per pixel, by everything"
     )
 
 
@@ -532,10 +522,7 @@ class OptimiserSettings(Section):
         description="expected_miss_rate: share of the run over which what lies outside the images ceases to pull",
     )
     detector_from: float = Field(
-        default=0.7,
-        ge=0.0,
-        le=1.0,
-        description="expected_miss_rate: share of the run from which the detector counts",
+        default=0.7, ge=0.0, le=1.0, description="expected_miss_rate: share of the run from which the detector counts"
     )
     search: Literal["auto", "pool", "descent"] = Field(
         default="auto",
@@ -562,10 +549,7 @@ class OptimiserSettings(Section):
         default=16, ge=1, le=100_000, description="starting rigs that are evaluated; the run begins with the best"
     )
     descents: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="descents of the run, each from the next best of the starting rigs",
+        default=1, ge=1, le=1000, description="descents of the run, each from the next best of the starting rigs"
     )
     patience: int | None = Field(
         default=None, ge=1, description="evaluations without a better rig after which a descent ends; null: unlimited"

@@ -430,7 +430,6 @@ class MisplacedCameras(SingleCameras):
 
     @classmethod
     def of(cls, cameras: SingleCameras, errors: MountErrors) -> MisplacedCameras:
-        """The same cameras with errors of mounting."""
         others = (cameras.occlusion, cameras.supersampling, cameras.thread_count, cameras.is_mirrored, cameras.is_fused)
         return cls(cameras.mount, cameras.probability, *others, errors=errors, _renderers=cameras._renderers)
 

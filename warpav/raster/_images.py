@@ -167,13 +167,11 @@ def _active_tape() -> wp.Tape | None:
 
 
 def require_depth(background_m: float) -> None:
-    """A background that outlines move against has a depth."""
     if not math.isfinite(background_m):
         raise InputError(f"background_m must be finite where depths have a gradient, got {background_m}")
 
 
 def visible_masks(buffers: Buffers, scene: Scene, shown_view: list[int]) -> list[list[tuple[int, int, np.ndarray]]]:
-    """See `Frame.visible_masks`."""
     rectangle, offset = buffers.layers.rectangle.numpy(), buffers.layers.offset.numpy()
     visible = (buffers.layers.inverse_depth_bits.numpy() != 0) & (buffers.hiding.bits.numpy() == 0)
     masks = []

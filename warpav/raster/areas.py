@@ -199,7 +199,6 @@ class Coverage:
 
 
 def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
-    """See `Frame.coverage`."""
     pairs = (buffers.view_count, scene.object_count)
     result = Coverage(
         buffers.zeros((*pairs, MEASURE_COUNT), float),
@@ -224,7 +223,6 @@ def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
 
 
 def measure_calibration(buffers: Buffers, scene: Scene) -> wp.array:
-    """See `Frame.calibration_jacobian`."""
     size = int(calibration.CALIBRATION_SIZE)
     kind = wp.array([int(kernels.VISIBLE), int(kernels.ALONE)], dtype=wp.int32, device=buffers.device)
     jacobian = buffers.zeros((buffers.view_count, scene.object_count, len(kind), size), float)
@@ -259,7 +257,6 @@ def measure_contrast(buffers: Buffers, scene: Scene, value: wp.array) -> wp.arra
 
 
 def measure_all(buffers: Buffers, scene: Scene, box_px: wp.array | None, into: Measures | None) -> Measures:
-    """See `Frame.measure`."""
     pairs = (buffers.view_count, scene.object_count)
     if box_px is None:
         box_px = buffers.kept("no box", pairs, wp.vec4)

@@ -161,7 +161,6 @@ class Beams:
 
     @property
     def _cells(self) -> np.ndarray:
-        """`weight`, float64 [beam, part]."""
         return np.ones((len(self.elevation_rad), 1)) if self.weight is None else np.array(self.weight, np.float64)
 
     @property

@@ -165,7 +165,6 @@ class Buffers:
         self._threads = _threads(self.thread_count) if self.thread_count > 1 and self.view_count > 1 else None
 
     def zeros(self, shape: int | tuple[int, ...], dtype: object) -> wp.array:
-        """A fresh array of zeros."""
         return wp.zeros(shape, dtype=dtype, device=self.device)  # pyright: ignore[reportArgumentType, reportReturnType]
 
     def kept(self, name: str, shape: tuple[int, ...], dtype: object) -> wp.array:
@@ -344,10 +343,7 @@ class Buffers:
             outputs=[rays.widest_cosine, rays.is_flat],
         )
         self.launch(
-            kernels.place_blocks_kernel,
-            (count, rows, columns),
-            inputs=[rays.ray],
-            outputs=[rays.block, rays.block_row],
+            kernels.place_blocks_kernel, (count, rows, columns), inputs=[rays.ray], outputs=[rays.block, rays.block_row]
         )
 
     def reserve_samples(self, sample_count: int) -> None:

@@ -152,16 +152,13 @@ class KeptRenderers:
 
     @property
     def held_bytes(self) -> int:
-        """What the buffers of all of them hold."""
         return sum(each.held_bytes for renderers in self._kept.values() for each in renderers)
 
     @property
     def used(self) -> list[Renderer]:
-        """Those that have rendered."""
         return [each for renderers in self._kept.values() for each in renderers if each.state is not None]
 
     def clear(self) -> None:
-        """Let go of all of them."""
         self._kept.clear()
 
     def of(self, key: Hashable, make: Callable[[], Sequence[Renderer]]) -> tuple[Renderer, ...]:
@@ -213,7 +210,6 @@ class Recording:
         self._generation = -1
 
     def __call__(self) -> None:
-        """Run the function."""
         renderer = self._renderer
         if not self._enabled or not renderer.is_recordable or self._generation != renderer.generation:
             self._graph = None

@@ -307,12 +307,7 @@ class Frame:
         """
         self._require(Content.MEASURES if visible else Content.OBJECTS)
         return areas.measure_window(
-            self._buffers,
-            self.scene,
-            window_rad,
-            softness_rad=softness_rad,
-            kind=_kind(visible=visible),
-            into=into,
+            self._buffers, self.scene, window_rad, softness_rad=softness_rad, kind=_kind(visible=visible), into=into
         )
 
     def colours(

@@ -129,7 +129,6 @@ def _arrays(vertex: object, index: object, colour: object, name: str) -> tuple[n
 
 
 def _check(vertex: np.ndarray, index: np.ndarray, colour: np.ndarray, name: str) -> None:
-    """See `Mesh.check`."""
     if vertex.ndim != 2 or vertex.shape[1] != 3:
         raise InputError(f"{name}: expected vertices of shape [n, 3], got {list(vertex.shape)}")
     if index.ndim != 2 or index.shape[1:] != (3,) or len(index) == 0:

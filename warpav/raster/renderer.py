@@ -100,9 +100,6 @@ def render(
             raise TypeError(f"{name}: expected a raster.{kind.__name__}, got {type(value).__name__}")
     poses = view_poses(camera_from_world, len(cameras), scene.device, log_focal=log_focal)
     renderer = Renderer(
-        cameras.models,
-        supersampling=samples,
-        device=str(scene.device),
-        foreground_layer=scene.foreground_layer >= 0,
+        cameras.models, supersampling=samples, device=str(scene.device), foreground_layer=scene.foreground_layer >= 0
     )
     return renderer.render(scene, poses.position_world_m, poses.camera_from_world, log_focal=poses.log_focal)

@@ -33,12 +33,7 @@ _Draw = Callable[[Frame, ViewPoses], wp.array]
 
 
 def visible_area(
-    scene: Scene,
-    cameras: Cameras,
-    pose: torch.Tensor,
-    *,
-    log_focal: torch.Tensor | None = None,
-    samples: int = 1,
+    scene: Scene, cameras: Cameras, pose: torch.Tensor, *, log_focal: torch.Tensor | None = None, samples: int = 1
 ) -> torch.Tensor:
     """Area of every object that nothing hides [px^2], [view, object].
 
@@ -57,12 +52,7 @@ def visible_area(
 
 
 def amodal_area(
-    scene: Scene,
-    cameras: Cameras,
-    pose: torch.Tensor,
-    *,
-    log_focal: torch.Tensor | None = None,
-    samples: int = 1,
+    scene: Scene, cameras: Cameras, pose: torch.Tensor, *, log_focal: torch.Tensor | None = None, samples: int = 1
 ) -> torch.Tensor:
     """Area of every object as if it stood alone [px^2], [view, object]; arguments as `visible_area`."""
     return _rendered(scene, cameras, pose, log_focal, samples, lambda frame, poses: frame.areas(poses).amodal)
@@ -102,12 +92,7 @@ def depth(
 
 
 def rgb(
-    scene: Scene,
-    cameras: Cameras,
-    pose: torch.Tensor,
-    *,
-    log_focal: torch.Tensor | None = None,
-    samples: int = 1,
+    scene: Scene, cameras: Cameras, pose: torch.Tensor, *, log_focal: torch.Tensor | None = None, samples: int = 1
 ) -> torch.Tensor:
     """Colour images 0..1, [view, row, column, 3]; arguments as `visible_area`."""
     return _rendered(scene, cameras, pose, log_focal, samples, lambda frame, poses: frame.colours(poses))

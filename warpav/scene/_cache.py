@@ -49,7 +49,6 @@ def built_scenes(
 
 
 def scene_file(source: BuiltSource, folder: Path) -> Path:
-    """The file that keeps a scene."""
     made_of = digest(_FORMAT, source.fingerprint, version("numpy"), version("embreex"))
     name = f"town_{source.seed}" if isinstance(source, TownSource) else "traffic"
     return folder / f"{name}_{made_of}.npz"

@@ -272,7 +272,6 @@ def split_seeds(seeds: Sequence[int]) -> dict[str, list[int]]:
 
 
 def _named(outcome: Outcome[Any, bool], place: Path) -> Outcome[Any, bool]:
-    """The outcome with the location added to its error."""
     if outcome.error is None or outcome.error.startswith(str(place)):
         return outcome
     return replace(outcome, error=f"{place}: {outcome.error}")
@@ -327,7 +326,6 @@ def _is_ready(task: SceneTask, made_with: str) -> bool:
 
 
 def _note(task: SceneTask, made_with: str) -> None:
-    """Enter a file into its folder's index."""
     entries = _index(task.file.parent)
     entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))

@@ -61,7 +61,6 @@ class FileFinder:
 
     @property
     def lacks_materials(self) -> bool:
-        """Whether the file of the materials is not there."""
         return any(name.lower().endswith(_MATERIAL_SUFFIX) for name in self.missing)
 
     def find(self, name: str) -> Path | None:
@@ -299,10 +298,7 @@ class TexturedMesh:
 
 
 def follow_textures(
-    mesh: TexturedMesh,
-    textures: Sequence[Texture],
-    *,
-    vertices_max: int = VERTICES_MAX,
+    mesh: TexturedMesh, textures: Sequence[Texture], *, vertices_max: int = VERTICES_MAX
 ) -> TexturedMesh:
     """Split triangles until the colours follow the textures, or there are enough vertices."""
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)

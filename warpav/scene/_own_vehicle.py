@@ -256,7 +256,6 @@ class _Source:
 
 
 def _source(path: Path, suffix: str) -> _Source:
-    """The parts of a mesh file."""
     import trimesh
 
     content, unread = bounded_mesh(path, suffix, f"{path}: vehicle")
@@ -612,7 +611,6 @@ def _holder(parts: list[tuple[str, np.ndarray]]) -> tuple[str, np.ndarray] | Non
 
 
 def _joined(parts: list[tuple[TexturedMesh, Texture | None]]) -> tuple[TexturedMesh, list[Texture]]:
-    """Parts in one mesh, and their textures."""
     meshes, textures = [mesh for mesh, _ in parts], [texture for _, texture in parts]
     first = np.cumsum([0, *(len(mesh.vertex) for mesh in meshes)])
     number = np.cumsum([texture is not None for texture in textures]) - 1

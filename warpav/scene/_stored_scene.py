@@ -155,11 +155,7 @@ class StoredScene(DeviceScene):
 
 
 def stored_scenes(
-    recipes: Sequence[SceneRecipe],
-    *,
-    device: str = "cpu",
-    folder: Path | None = None,
-    worker_count: int | None = None,
+    recipes: Sequence[SceneRecipe], *, device: str = "cpu", folder: Path | None = None, worker_count: int | None = None
 ) -> Iterator[StoredScene]:
     """Scenes on a Warp device, in this order: opened where they were made before, made where not.
 
@@ -201,7 +197,6 @@ def _mapped(file: Path, *, is_checked: bool) -> np.ndarray:
 
 
 def _packed(recipe: SceneRecipe) -> np.ndarray:
-    """A scene, packed, as one structured element."""
     scene, left_out = recipe.scene()
     packed = DeviceScene.pack(scene)
     arrays = {

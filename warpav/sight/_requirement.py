@@ -18,9 +18,6 @@ SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "ri
 """Sectors of 45 degrees around the middle of the vehicle, the first one centred straight ahead; the centre of an
 object's box decides, and a sector includes its right edge."""
 
-SIDES = ("front", "rear", "left", "right")
-"""Sides of the body that a strip lies beside."""
-
 _EDGE_M = 1e-6  # points on a border belong to the area
 
 

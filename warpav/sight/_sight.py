@@ -74,12 +74,7 @@ def is_in_image(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
 
 
 def free_shares(
-    scene: DeviceScene,
-    start_m: np.ndarray,
-    end_m: np.ndarray,
-    *,
-    near_m: float = 0.0,
-    behind_glass: Pane | None = None,
+    scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, near_m: float = 0.0, behind_glass: Pane | None = None
 ) -> np.ndarray:
     """Share of the line of sight from a point [3] to others [point, 3] that is free of occluders, float32 [point]."""
     raster = scene.raster.through(behind_glass)  # held while kernels read it

@@ -16,13 +16,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from warpav.experiments.bench._items import Bench
-from warpav.experiments.bench._workload import (
-    LENSES,
-    ROTATION_COUNT,
-    embedded_truth,
-    embedded_workload,
-    pack_workload,
-)
+from warpav.experiments.bench._workload import LENSES, ROTATION_COUNT, embedded_truth, embedded_workload, pack_workload
 
 POSES = 4
 RAYS = 12  # along each side of a pixel
@@ -98,11 +92,7 @@ class RayCastLoss:
         for rotation in range(ROTATION_COUNT):
             angle = yaw_rad + rotation * 0.5 * math.pi
             axes = np.stack(
-                [
-                    [-math.cos(angle), 0.0, math.sin(angle)],
-                    [0.0, -1.0, 0.0],
-                    [math.sin(angle), 0.0, math.cos(angle)],
-                ]
+                [[-math.cos(angle), 0.0, math.sin(angle)], [0.0, -1.0, 0.0], [math.sin(angle), 0.0, math.cos(angle)]]
             )
             for k, (scene, points) in enumerate(zip(self.scenes, self.points, strict=True)):
                 if (rotation, k) not in rectangles:

@@ -113,10 +113,7 @@ def answers(rig, scenes):
     """
     first, second = (truth_boxes(rig, item.scene) for item in scenes)
     false_alarm = [2.0, 2.0, 12.0, 12.0]
-    return (
-        ([[first[0, 0], false_alarm], [first[1, 1]]], [[0.8, 0.95], [0.6]]),
-        ([[second[0, 0]], []], [[0.7], []]),
-    )
+    return (([[first[0, 0], false_alarm], [first[1, 1]]], [[0.8, 0.95], [0.6]]), ([[second[0, 0]], []], [[0.7], []]))
 
 
 def check(metrics, *, has_objective):
@@ -215,12 +212,7 @@ def test_what_becomes_of_every_object():
 
 
 def observer_of(rig, calls):
-    return RigObserver(
-        rig,
-        ScriptedDetector(calls),
-        ObjectiveOptions(occlusion=Occlusion.EXACT),
-        device="cpu",
-    )
+    return RigObserver(rig, ScriptedDetector(calls), ObjectiveOptions(occlusion=Occlusion.EXACT), device="cpu")
 
 
 def test_violations_are_reported(scenes):

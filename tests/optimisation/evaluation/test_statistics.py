@@ -89,8 +89,7 @@ def test_units_and_what_both_arms_share_do_not_count(both, scale, shift):
     found = paired_difference(one, other, resamples=299)
     moved = paired_difference(scale * one + shift, scale * other + shift, resamples=299)
     assert (moved.mean, moved.low, moved.high) == pytest.approx(
-        (scale * found.mean, scale * found.low, scale * found.high),
-        abs=1e-9,
+        (scale * found.mean, scale * found.low, scale * found.high), abs=1e-9
     )
 
 

@@ -6,14 +6,7 @@ import pytest
 from tests.scene.traffic.recordings import STEP_S, street, track, write
 from warpav.core.errors import InputError
 from warpav.scene.traffic.files import content_digest, read_recording, shipped_recordings
-from warpav.scene.traffic.moments import (
-    LENGTH_RATIO,
-    MOVED_M,
-    OVERLAP_MAX_M,
-    SPACING_S,
-    moments_of,
-    traffic_of,
-)
+from warpav.scene.traffic.moments import LENGTH_RATIO, MOVED_M, OVERLAP_MAX_M, SPACING_S, moments_of, traffic_of
 from warpav.scene.traffic.recording import without_overlaps
 
 CAR_M = np.array([[-1.0, -1.1, 0.0], [3.7, 1.1, 1.5]])

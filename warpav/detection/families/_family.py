@@ -365,11 +365,7 @@ def single_output_shape(file: NetworkFile) -> tuple[int | None, ...] | None:
 
 
 def listed_candidates(
-    file: NetworkFile,
-    box_input_px: np.ndarray,
-    confidence: np.ndarray,
-    class_index: np.ndarray,
-    asked: Asked,
+    file: NetworkFile, box_input_px: np.ndarray, confidence: np.ndarray, class_index: np.ndarray, asked: Asked
 ) -> Candidates:
     """Those boxes of a list that are of the wanted classes and of enough confidence."""
     sure = confidence >= asked.confidence_min

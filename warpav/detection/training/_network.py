@@ -188,10 +188,7 @@ def export_network(network: TownNetwork, path: Path) -> float:
             str(path),
             input_names=["images"],
             output_names=["output0"],
-            dynamic_axes={
-                "images": {0: "batch", 2: "rows", 3: "columns"},
-                "output0": {0: "batch", 2: "candidates"},
-            },
+            dynamic_axes={"images": {0: "batch", 2: "rows", 3: "columns"}, "output0": {0: "batch", 2: "candidates"}},
             opset_version=_OPSET,
             dynamo=False,
         )

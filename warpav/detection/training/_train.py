@@ -17,13 +17,7 @@ from torch import Tensor, nn
 
 from warpav.core.errors import InputError
 from warpav.detection.training import CLASS_NAMES, TrainingOptions
-from warpav.detection.training._data import (
-    TRAIN_SUBSETS,
-    LabelledImages,
-    load_images,
-    own_subset,
-    write_images,
-)
+from warpav.detection.training._data import TRAIN_SUBSETS, LabelledImages, load_images, own_subset, write_images
 from warpav.detection.training._loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
 from warpav.detection.training._network import TownNetwork, export_network
 

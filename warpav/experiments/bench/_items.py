@@ -116,7 +116,6 @@ class Bench:
         return self.workload.models(range(len(self.workload.pose)))
 
     def _placed(self) -> tuple[wp.array, wp.array]:
-        """Centres and rotations of all views."""
         workload = self.workload
         pose = wp.array(workload.pose.astype(np.float32), dtype=wp.vec3, device=self.device)
         height_m = wp.array(workload.height_m.astype(np.float32), dtype=float, device=self.device)

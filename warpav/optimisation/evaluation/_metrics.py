@@ -56,12 +56,7 @@ PAIRED_METRICS = (
     "objective",
 )
 
-OPTIONAL_METRICS = (
-    "weighted_misses_per_100",
-    "attainable_rate",
-    "attainable_misses_per_100",
-    "redundant_rate",
-)
+OPTIONAL_METRICS = ("weighted_misses_per_100", "attainable_rate", "attainable_misses_per_100", "redundant_rate")
 """Metrics that not every evaluation has: where the objects have weights (section ``importance``), where it is known
 which of them are attainable (`attainable_objects`), and where some are near; defined per scene as well, but for the
 attainable rate."""
@@ -681,7 +676,6 @@ class _Boxes:
         return _number(average_precision([ImageScore(confidence, hits, len(up_to))]))
 
     def ap50_of_scenes(self) -> list[float | None]:
-        """AP50 over the images of each scene."""
         count = self.false_alarms.shape[1]
         return [
             _mean(np.array([average_precision(images[count * k : count * (k + 1)]) for images in self._images]))
@@ -723,7 +717,6 @@ def _recall_by(
 
 
 def _misses(recall: float | None) -> float | None:
-    """Misses per 100."""
     return None if recall is None else 100.0 * (1.0 - recall)
 
 

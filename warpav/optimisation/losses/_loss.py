@@ -64,7 +64,6 @@ class Needs:
     one_field: bool = False
 
     def __or__(self, other: Needs) -> Needs:
-        """What has to be there for both."""
         return Needs(**{name: max(value, getattr(other, name)) for name, value in vars(self).items()})
 
 

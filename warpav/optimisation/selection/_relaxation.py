@@ -284,7 +284,6 @@ class Relaxation:
         return self._cut_object[is_kept], self._cut_level[is_kept]
 
     def relax(self, node: Node, enough: float) -> Relaxed:
-        """The bound of a node."""
         if node.is_empty(self.problem.count):  # the model may lack the cameras that would show it
             return Relaxed(math.inf)
         self._drop_idle_cuts()

@@ -15,13 +15,7 @@ import numpy as np
 
 from warpav.core.cores import available_cores
 from warpav.core.errors import ArgumentError
-from warpav.optimisation.selection._problem import (
-    SelectionProblem,
-    exchange,
-    feasible_rig,
-    raise_conflict,
-    random_rig,
-)
+from warpav.optimisation.selection._problem import SelectionProblem, exchange, feasible_rig, raise_conflict, random_rig
 from warpav.optimisation.selection._relaxation import Node, Price, Relaxation, Relaxed
 
 TOLERANCE = 1e-9
@@ -316,8 +310,7 @@ def _first_rigs(
             if rigs:
                 break
             raise ArgumentError(
-                "time_limit_s",
-                "expected enough to find a rig that satisfies the constraints; raise it or give a start",
+                "time_limit_s", "expected enough to find a rig that satisfies the constraints; raise it or give a start"
             ) from None
         if rig is None:
             raise_conflict(problem, time_limit_s=max(left_s, 1.0))

@@ -180,7 +180,6 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
 
 
 def _eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
-    """Where the images from the ego vehicle are taken [m], shape [3]."""
     return ego_box.center_m + np.array([0.0, 0.0, 0.5 * ego_box.size_m[2] + settings.eye_above_roof_m])
 
 
@@ -242,7 +241,6 @@ def _view(settings: PlanSettings, name: str, kind: ViewKind, pose: np.ndarray, f
 
 
 def rigid_pose(rotation: np.ndarray, position_m: np.ndarray) -> np.ndarray:
-    """Pose [4, 4] of a rotation [3, 3] and a position [m]."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position_m
     return pose

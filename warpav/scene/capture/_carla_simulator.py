@@ -19,10 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.core.frames import (
-    FLU_FROM_RDF,
-    rotation_from_yaw_pitch_roll,
-)
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.scene._scene import Box
 from warpav.scene.capture._capture import (

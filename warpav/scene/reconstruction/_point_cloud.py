@@ -206,12 +206,7 @@ _FAR_TOLERANCE = 0.01  # of the depth
 
 
 def seen_rgb(
-    vertex_m: np.ndarray,
-    normal: np.ndarray,
-    images: Sequence[CapturedImage],
-    instance_id: int,
-    *,
-    tolerance_m: float,
+    vertex_m: np.ndarray, normal: np.ndarray, images: Sequence[CapturedImage], instance_id: int, *, tolerance_m: float
 ) -> np.ndarray:
     """The colour of each vertex in the image that shows it best: nearest and most squarely.
 

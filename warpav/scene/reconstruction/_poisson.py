@@ -84,7 +84,6 @@ class _Grid(_OnDevice):
         self.columns = (*shape[:2], self.lanes)
 
     def relax(self, steps: int) -> None:
-        """Bring the field nearer to the solution."""
         for step in range(2 * steps):
             self.launch(
                 poisson.relax_field_kernel,
@@ -94,7 +93,6 @@ class _Grid(_OnDevice):
             )
 
     def find_residual(self) -> None:
-        """Compute what the field leaves of the source."""
         self.launch(
             poisson.find_residual_kernel,
             self.columns,
@@ -103,11 +101,9 @@ class _Grid(_OnDevice):
         )
 
     def restrict(self, fine: wp.array, coarse: wp.array, factor: float = 1.0) -> None:
-        """Write a field of the next finer grid into one of this grid, times a factor."""
         self.launch(poisson.restrict_field_kernel, self.columns, inputs=[fine, factor, self.lanes], outputs=[coarse])
 
     def add_prolonged(self, coarse: wp.array, fine: wp.array) -> None:
-        """Add a field of the next coarser grid to one of this grid."""
         self.launch(poisson.add_prolonged_kernel, self.columns, inputs=[coarse, self.lanes], outputs=[fine])
 
 

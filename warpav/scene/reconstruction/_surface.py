@@ -102,7 +102,6 @@ def _spaced(point_m: np.ndarray, spacing_m: float) -> np.ndarray:
 
 
 def _vtk_cloud(point_m: np.ndarray, arrays: dict[str, np.ndarray]) -> vtkPolyData:
-    """VTK's points with an array of values for each."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkPolyData
@@ -208,7 +207,6 @@ def trimmed(
 
 
 def _referenced(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Only the vertices that triangles use."""
     used, index = np.unique(triangle, return_inverse=True)
     return vertex_m[used].astype(np.float32), index.reshape(-1, 3).astype(np.int32)
 

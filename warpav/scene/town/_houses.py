@@ -57,12 +57,7 @@ class SceneryBuilder:
         self._colour.append(np.broadcast_to(colour, corner_m.shape))
 
     def add_ground(
-        self,
-        rectangle_m: Rectangle,
-        height_m: float,
-        colour: np.ndarray,
-        mottle: float,
-        cell_m: float = _GROUND_CELL_M,
+        self, rectangle_m: Rectangle, height_m: float, colour: np.ndarray, mottle: float, cell_m: float = _GROUND_CELL_M
     ) -> None:
         """Add a level rectangle in cells of a few metres whose brightness varies by ``mottle``."""
         x_low, y_low, x_high, y_high = rectangle_m
@@ -110,7 +105,6 @@ class SceneryBuilder:
         self._house_x_m = np.nan
 
     def add_plan(self, layout: Layout, markings: Iterable[Marking]) -> None:
-        """Add roads, markings, more of these, and blocks of a plan."""
         for rectangle in layout.asphalt_m:
             self.add_asphalt(rectangle)
         for marking in (*layout.markings, *markings):
@@ -171,7 +165,6 @@ class SceneryBuilder:
         self._add_sheet(point, np.broadcast_to(shade, point.shape))
 
     def add_block(self, block: Block) -> None:
-        """Add kerb, pavement and the houses of a block."""
         rng = self._rng
         x_low, y_low, x_high, y_high = block.rectangle_m
         kerb_colour = np.full(3, self._pavement_grey + 0.09)

@@ -158,13 +158,7 @@ _WIDTH_SHARE = 0.66  # tyre width over tyre radius
 
 
 def add_wheel_pair(
-    builder: SurfaceBuilder,
-    x_m: float,
-    outer_face_m: float,
-    radius_m: float,
-    *,
-    twin: bool,
-    coarse: bool = False,
+    builder: SurfaceBuilder, x_m: float, outer_face_m: float, radius_m: float, *, twin: bool, coarse: bool = False
 ) -> None:
     width = _WIDTH_SHARE * radius_m * (2.0 if twin else 1.0)
     profile = np.array(_COARSE_PROFILE if coarse else _PROFILE)

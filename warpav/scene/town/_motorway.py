@@ -141,7 +141,6 @@ class _Builder:
         self._section, self._side, self._scenery, self._ground, self._rng = section, side, scenery, ground, rng
 
     def build(self) -> None:
-        """Ground, lines, barriers, signs, bridges, trees."""
         section, scenery, reach = self._section, self._scenery, _MOTORWAY_REACH_M
         scenery.add_ground((-reach, -section.median_m, reach, section.median_m), 0.0, _GRASS * 0.95, 0.02, _ROAD_CELL_M)
         for sign in (-1.0, 1.0):

@@ -22,7 +22,6 @@ class Material(enum.IntEnum):
     mirror: float
 
     def __new__(cls, number: int, red: float, green: float, blue: float, mirror: float) -> Material:
-        """A number with what it looks like."""
         one = int.__new__(cls, number)
         one._value_ = number
         one.albedo, one.mirror = (red, green, blue), mirror

@@ -151,7 +151,6 @@ def lane_positions(
 def lane_vehicles(
     lane: Lane, draw: Callable[[], DrawnVehicle], rng: np.random.Generator
 ) -> Iterator[tuple[DrawnVehicle, Footprint]]:
-    """Vehicles and where they drive; see `lane_positions`."""
     drawn: list[DrawnVehicle] = []
 
     def length_of() -> float:

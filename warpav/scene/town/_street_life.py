@@ -75,7 +75,6 @@ class Strip:
 
     @property
     def yaw_rad(self) -> float:
-        """Direction of the kerb."""
         return float(np.arctan2(self.along[1], self.along[0]))
 
     def at(self, along_m: float, inward_m: float) -> np.ndarray:

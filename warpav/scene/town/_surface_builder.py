@@ -65,7 +65,6 @@ class SurfaceBuilder:
         self.add_grid(_cap(ring_m[0], 0.0, 2), caps[1])
 
     def add_box(self, low_m: Point, high_m: Point, material: int) -> None:
-        """Add an axis-aligned box between two corners [m]."""
         corner = np.array([[(low_m, high_m)[bit >> axis & 1][axis] for axis in range(3)] for bit in range(8)])
         for quad in ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)):
             self.add_grid(corner[np.array(quad)[[[0, 3], [1, 2]]]], material)
@@ -99,13 +98,7 @@ class SurfaceBuilder:
         self.add_mirrored_grid(np.array(center_m) + direction * np.array(radius_m), material)
 
     def add_tube(
-        self,
-        centre_m: ArrayLike,
-        radius_m: ArrayLike,
-        material: np.ndarray | int,
-        *,
-        sides: int,
-        cap: float = 0.45,
+        self, centre_m: ArrayLike, radius_m: ArrayLike, material: np.ndarray | int, *, sides: int, cap: float = 0.45
     ) -> None:
         """Add a closed tube along a path; ``centre_m`` [ring, 3], ``radius_m`` [ring, 2], [ring] or one for all."""
         centre, radius = np.asarray(centre_m, np.float64), np.asarray(radius_m, np.float64)

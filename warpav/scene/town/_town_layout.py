@@ -38,7 +38,6 @@ class Footprint:
 
     @property
     def centre_m(self) -> np.ndarray:
-        """Its centre [m], shape [2]."""
         return np.array([self.x_m, self.y_m])
 
     @property
@@ -180,7 +179,6 @@ class Layout:
         return np.array([self.ego.x_m, self.ego.y_m])
 
     def mirrored(self) -> Layout:
-        """The plan with left and right exchanged."""
         opposite = {"south": "north", "north": "south"}
 
         def flipped(rectangle: Rectangle) -> Rectangle:
@@ -219,7 +217,6 @@ def dashes(
 
 
 def line(y: float, low: float = -REACH_M, high: float = REACH_M) -> Marking:
-    """A line along x at ``y``."""
     return Marking((low, y - _LINE_HALF_WIDTH_M, high, y + _LINE_HALF_WIDTH_M))
 
 

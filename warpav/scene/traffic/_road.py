@@ -129,11 +129,7 @@ class Road:
         kerb = np.full(3, pavement[1] + 0.09)
         mottle = 0.006 * rng.standard_normal(len(point_m))[:, None]
         fade = np.clip(self.distance_m(point_m) / self.pavement_m, 0.0, 1.0)[:, None]
-        colour = (
-            asphalt + mottle,
-            pavement * (1.0 - PAVEMENT_FADE * fade),
-            land + 2.0 * mottle,
-        )
+        colour = (asphalt + mottle, pavement * (1.0 - PAVEMENT_FADE * fade), land + 2.0 * mottle)
         vertices, triangles, colours = [], [], []
         first = 0
         for number in range(3):
@@ -423,7 +419,6 @@ class Roadside:
     """Collects what stands on the land, clear of everything else."""
 
     def __init__(self, road: Road, taken: Sequence[Footprint], rng: np.random.Generator) -> None:
-        """Nothing yet."""
         self._road = road
         self._rng = rng
         self._taken = Occupied(taken)  # what furniture keeps clear of

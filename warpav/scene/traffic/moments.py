@@ -62,7 +62,6 @@ def traffic_of(
 def search_and_test(
     recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None
 ) -> tuple[list[Path], list[Path]]:
-    """The recordings for the search, and those for the test."""
     search = shipped_recordings() if recordings is None else recordings_in(recordings)
     if test_recordings is not None:
         test = recordings_in(test_recordings)

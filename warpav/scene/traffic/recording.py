@@ -70,7 +70,6 @@ class Lanelet:
 
     @property
     def is_crosswalk(self) -> bool:
-        """Whether people cross here."""
         return "crosswalk" in self.kinds
 
     @property
@@ -134,7 +133,6 @@ class Recording:
 
     @property
     def last_step(self) -> int:
-        """The last step of anybody."""
         return max(int(user.step[-1]) for user in self.users)
 
     @cached_property
@@ -268,7 +266,6 @@ def _counts(counter: Counter[str]) -> str:
 
 
 def check_step(value: float, place: str) -> None:
-    """Make sure that a number is a step."""
     if value % 1 != 0:
         raise InputError(f"{place}: expected whole steps, got {value:g}")
     if not 0 <= value <= _STEP_MAX:
@@ -309,7 +306,6 @@ _COUPLING_M = 2.0  # by which a trailer may reach into its tractor
 
 
 def _checked(user: RecordedUser, step_s: float) -> RecordedUser | Fault:
-    """The road user, or what is wrong with it."""
     place = f"road user {user.user_id}"
     if user.category not in CLASSES:
         return Fault("type", f"{place}: type: expected one of {', '.join(CLASSES)}, got {user.category!r}")

@@ -50,7 +50,6 @@ class TrafficSource:
     fleet: Fleet | None = None  # vehicles of other makers, in the places of some of the town's; None: none
 
     def scene(self, ego: Mesh | None = None) -> Scene:
-        """The scene; as of `traffic_scene`."""
         return self.scene_and_left_out(ego)[0]
 
     def scene_and_left_out(self, ego: Mesh | None = None) -> tuple[Scene, int]:
@@ -137,11 +136,9 @@ class _EgoFrame:
         self.centre_ego_m = centre_ego_m
 
     def point_in_ego(self, point_m: np.ndarray) -> np.ndarray:
-        """Points [..., 2] in the ego frame [m]."""
         return (point_m - self._own.centre_m) @ self._ego_from_recording.T + self.centre_ego_m
 
     def direction_in_ego(self, direction: np.ndarray) -> np.ndarray:
-        """A direction or velocity [2] in the ego frame."""
         return self._ego_from_recording @ direction
 
     def yaw_in_ego(self, yaw_rad: float) -> float:

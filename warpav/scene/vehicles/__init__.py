@@ -25,7 +25,6 @@ def vehicle_names() -> list[str]:
 
 
 def vehicle_folder() -> Path:
-    """Where they lie."""
     return _FOLDER
 
 

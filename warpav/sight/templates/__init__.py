@@ -11,5 +11,4 @@ def template_names() -> list[str]:
 
 
 def template_file(name: str) -> Path:
-    """The file of a template."""
     return Path(__file__).parent / f"{name}.yaml"

@@ -11,16 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpav.scene.traffic.formats import (
-    _argoverse2,
-    _commonroad,
-    _drone,
-    _interaction,
-    _json,
-    _nuscenes,
-    _sumo,
-    _waymo,
-)
+from warpav.scene.traffic.formats import _argoverse2, _commonroad, _drone, _interaction, _json, _nuscenes, _sumo, _waymo
 from warpav.scene.traffic.formats import _argoverse2_motion as _motion
 from warpav.scene.traffic.recording import Recording
 

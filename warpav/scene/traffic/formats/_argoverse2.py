@@ -47,7 +47,6 @@ _POSE = ("tx_m", "ty_m", "tz_m", "qw", "qx", "qy", "qz")
 
 
 def is_log(path: Path) -> bool:
-    """Whether a path is the folder of a log."""
     return (path / _ANNOTATIONS).is_file()
 
 

@@ -33,12 +33,10 @@ _CLASS_OF_TYPE = {
 
 
 def is_scenario(path: Path) -> bool:
-    """Whether a path is the folder of a scenario."""
     return path.is_dir() and next(path.glob("scenario_*.parquet"), None) is not None
 
 
 def files_of(folder: Path) -> list[Path]:
-    """What a scenario is read from."""
     return sorted([*folder.glob("scenario_*.parquet"), *folder.glob(_MAPS)])
 
 

@@ -33,7 +33,6 @@ _CLASS_OF_TYPE = {
 
 
 def read(file: Path) -> Recording:
-    """The recording of a scenario."""
     content = read_bytes(file, "recorded traffic", bytes_max=DATA_SET_BYTES_MAX)
     root = parse_xml(content, "", "a whole CommonRoad scenario", nodes_max=DATA_SET_NODES_MAX)
     if root.tag != "commonRoad":
@@ -83,7 +82,6 @@ def read(file: Path) -> Recording:
 
 
 def _obstacle(element: ElementTree.Element, user_id: str, category: str) -> RecordedUser:
-    """An obstacle as a road user."""
     place = f"obstacle {user_id}"
     length, width, along, across, turn = _rectangle(element, place)
     states = [*element.findall("initialState"), *element.findall("trajectory/state")]

@@ -42,7 +42,6 @@ def files_of(file: Path) -> list[Path]:
 
 
 def read(file: Path) -> Recording:
-    """The recording of a file of tracks."""
     _, tracks_file, about_file, *maps = files_of(file)
     about = read_columns(about_file, ("frameRate",), _PLACE, optional=(*_PLACE, *_ORIGIN), harmless=_OF_ABOUT)
     rate_hz = float(about["frameRate"][0]) if len(about["frameRate"]) else 0.0

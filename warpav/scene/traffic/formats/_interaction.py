@@ -28,7 +28,6 @@ def files_of(file: Path) -> list[Path]:
 
 
 def read(file: Path) -> Recording:
-    """The recording of a file of tracks."""
     files = files_of(file)
     csv = [(each, _NUMBERS if each != file else (*_NUMBERS, *_BOX)) for each in files if each.suffix == ".csv"]
     tables = [read_columns(each, numbers, ("track_id", "agent_type"), harmless="frame_id") for each, numbers in csv]

@@ -63,7 +63,6 @@ class _Recording(Record):
 
 
 def read(file: Path) -> Recording:
-    """The recording of a file."""
     content = read_bytes(file, "recorded traffic", bytes_max=DATA_SET_BYTES_MAX)
     data = parse_json(content, "", "recorded traffic", nodes_max=DATA_SET_NODES_MAX)
 

@@ -58,7 +58,6 @@ def files_of(file: Path) -> list[Path]:
 
 
 def read(file: Path) -> Recording:
-    """The recording of an output."""
     number_of: dict[tuple[str, str, str], int] = {}
     strange: set[str] = set()
     samples, times, at, who = array("d"), array("d"), array("q"), array("q")

@@ -82,7 +82,6 @@ def is_scene(path: Path) -> bool:
 
 
 def read(file: Path) -> Recording:
-    """The recording of a scene."""
     content = read_bytes(file, "recorded traffic", bytes_max=DATA_SET_BYTES_MAX)
     scene = read_record(_Scene, parse_json(content, "", "recorded traffic", nodes_max=DATA_SET_NODES_MAX), "")
     names = [str(each.get("id", number)) for number, each in enumerate(scene.objects)]
