@@ -22,7 +22,7 @@ from warpav.runs.config import load_config
 from warpav.runs.report._content import RunContent, read_content
 from warpav.runs.report._statements import cautions, headline, summary
 from warpav.runs.report.report import write_report
-from warpav.runs.report.tables import show_everything, show_run
+from warpav.runs.report.tables import next_commands, show_everything, show_run
 
 
 class Page(HTMLParser):
@@ -547,3 +547,15 @@ def test_rigs_that_do_not_fit_side_by_side_come_in_parts_beside_the_first():
     assert printed(run, 85).count("12 test scenes ") == 4  # two names of 17 letters take 85 columns
     assert "…" not in printed(run, 85)
     assert printed(run).count("12 test scenes ") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "again"),
+    [
+        (["run.out=my run"], "scenes.level=dense"),
+        (["scenes.ego=bus"], "'my run'/config.yaml scenes.level=dense run.out='my run'_dense"),
+    ],
+)
+def test_what_to_do_next_keeps_the_options_of_the_run(options, again):
+    run = RunContent(evaluation=RigEvaluation.model_validate(evaluation()), config=load_config("quick", options))
+    assert next_commands(run, "my run") == ["warpav view 'my run'", f"warpav optimise {again}"]
