@@ -241,7 +241,8 @@ class RuleCheck:
             names = (self._names[int(seer)], self._names[int(other)])
             value = float(share.max())
             found.append(RuleMargin("housing", names, value, rules.housing, "of the image", value <= rules.housing))
-        if rules.azimuth_gap_rad is not None and _has_whole_turn(self._models):
+        goes_round = sum(model.fov_rad for model in self._models) >= 2.0 * math.pi - 1e-6
+        if rules.azimuth_gap_rad is not None and goes_round:
             gap = math.degrees(self.azimuth_gap_rad)
             limit = math.degrees(rules.azimuth_gap_rad)
             found.append(RuleMargin("azimuth_gap", (), gap, limit, "deg", gap <= limit + 1e-9))
@@ -285,11 +286,6 @@ def own_body_limit(rules: Rules, model: CameraModel) -> float:
     """The share of the own body that a camera may see."""
     limit = rules.own_body_wide if model.fov_rad >= _WIDE_RAD else rules.own_body
     return 1.0 if limit is None else limit
-
-
-def _has_whole_turn(models: Sequence[CameraModel]) -> bool:
-    """Whether fields of view together go all round."""
-    return sum(model.fov_rad for model in models) >= 2.0 * math.pi - 1e-6
 
 
 def widest_gap(seen: np.ndarray) -> int:

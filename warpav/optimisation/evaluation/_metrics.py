@@ -564,7 +564,9 @@ def metrics_of(
         visible_rate=_mean(flags[0]),
         detection_confidence=_mean(np.concatenate(confidence)),
         false_alarms_per_frame=_mean(boxes.false_alarms),
-        objective=_objective_of(losses, weight) if objective.is_by_single_cameras else _mean(np.array(losses)),
+        objective=float(np.average(losses, weights=weight))  # weight: of the objects of every scene together
+        if objective.is_by_single_cameras and len(losses) and weight.any()
+        else _mean(np.array(losses)),
         constraint_violation=objective.constraints.violation_m(rig),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
         body_share=body_share,
@@ -593,11 +595,6 @@ def metrics_of(
         attainable_misses_per_100=attained,
         redundant_rate=redundant(seen_by, scenes).share,
     )
-
-
-def _objective_of(losses: Sequence[float], weight: np.ndarray) -> float | None:
-    """The expected misses of all objects from those of every scene; ``weight``: of its objects together."""
-    return float(np.average(losses, weights=weight)) if len(losses) and weight.any() else _mean(np.array(losses))
 
 
 def _image_boxes(

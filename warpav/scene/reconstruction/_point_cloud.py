@@ -71,10 +71,9 @@ def fuse(
     boxes = [capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)]
     ids = [EGO_INSTANCE, *(vehicle.instance_id for vehicle in capture.vehicles)]
     with ThreadPoolExecutor(thread_count) as pool:
-        shares = list(pool.map(lambda image: _image_share(image, ids, boxes, settings), images))
-    around = [share.around for share in shares]
-    parts = [[share.parts[k] for share in shares] for k in range(len(ids))]
-    rays = [[share.rays[k] for share in shares] for k in range(len(ids))]
+        shares = pool.map(lambda image: _image_share(image, ids, boxes, settings), images)
+        around, *of_images = zip(*shares, strict=True)
+    parts, rays = (list(zip(*each, strict=True)) for each in of_images)
     environment = joined(around)
     environment = environment.chosen(first_in_cells(environment.point_m, settings.environment_grid_m))
     near, sphere = split_at_radius(environment, settings.radius_m)
@@ -84,18 +83,10 @@ def fuse(
     return _SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
 
 
-@dataclass(frozen=True, eq=False)
-class _ImageShare:
-    """Points of the environment and of each vehicle in one image, and rays through window panes."""
-
-    around: PointCloud
-    parts: list[PointCloud]
-    rays: list[tuple[np.ndarray, np.ndarray]]
-
-
 def _image_share(
     image: CapturedImage, ids: Sequence[int], boxes: Sequence[Box], settings: CloudSettings
-) -> _ImageShare:
+) -> tuple[PointCloud, list[PointCloud], list[tuple[np.ndarray, np.ndarray]]]:
+    """Points of the environment and of each vehicle in one image, and rays through window panes."""
     cloud, instance, row, column = unproject(image, far_depth_m=settings.far_depth_m)
     parts, rays = [], []
     is_around = np.ones(len(cloud), bool)
@@ -114,7 +105,7 @@ def _image_share(
     around = around[first_in_cells(cloud.point_m[around], settings.environment_grid_m)]
     for box in boxes:
         around = around[~box.contains(cloud.point_m[around], margin_m=-settings.box_margin_m)]
-    return _ImageShare(cloud.chosen(around), parts, rays)
+    return cloud.chosen(around), parts, rays
 
 
 def split_at_radius(cloud: PointCloud, radius_m: float) -> tuple[PointCloud, PointCloud]:
