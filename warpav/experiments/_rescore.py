@@ -32,8 +32,7 @@ _SCHEMA = 2
 _RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
-_RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
-"""Such options of other sections."""
+_RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")  # such options of other sections
 
 _REFERENCE = "default"
 

@@ -83,16 +83,11 @@ def _require_meetable(visibility: Visibility, ghosts: Ghosts, count: int) -> Non
         raise InputError(*lines)
 
 
-MET = 0.999
-"""Probability of a point that a camera meets."""
-_NEARLY_MET = 0.9
-"""Probability just before: two cameras that do not meet a point together stay below one that does."""
-_HARD_WEIGHT = 0.1
-"""Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
-_NEAR_EDGE = 3.0
-"""Margin from which on a hard point counts as met whatever a step does."""
-_SEEN_KEPT = 2
-"""Answers with Jacobians that are kept: of a pair's two sides."""
+MET = 0.999  # probability of a point that a camera meets
+_NEARLY_MET = 0.9  # probability just before: two cameras that do not meet a point together stay below one that does
+_HARD_WEIGHT = 0.1  # weight of a hard requirement: it leads the search to where it is met, and the rows keep it there
+_NEAR_EDGE = 3.0  # margin from which on a hard point counts as met whatever a step does
+_SEEN_KEPT = 2  # answers with Jacobians that are kept: of a pair's two sides
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,8 +44,7 @@ from warpav.raster.scene import Scene as RasterScene
 from warpav.scene import DeviceScene
 from warpav.sight import Visibility
 
-_CPU_VIEWS = 16
-"""Views that one thread renders at once, at most."""
+_CPU_VIEWS = 16  # views that one thread renders at once, at most
 _CPU_KEY_BYTES = 2**26
 """Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
 _OUTLINED = 8

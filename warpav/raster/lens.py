@@ -28,14 +28,11 @@ from functools import cache, cached_property
 
 import numpy as np
 
-_MAX_TANGENT = 100.0
-"""A Brown-Conrady lens sees no farther from its axis than 89.4 degrees."""
+_MAX_TANGENT = 100.0  # a Brown-Conrady lens sees no farther from its axis than 89.4 degrees
 
-_TABLE_ENTRIES = 4096
-"""Entries of `image_table`."""
+_TABLE_ENTRIES = 4096  # entries of `image_table`
 
-_NEARBY_RAD = 0.16
-"""How far from an entry of it a great circle may begin."""
+_NEARBY_RAD = 0.16  # how far from an entry of it a great circle may begin
 
 _LAST_RAD = math.radians(175.0)  # from the axis: beyond, a fisheye's image of a point is a circle
 _TURN_SHARE = 0.995  # of the place where the radius stops growing: just before it the image has no width

@@ -13,8 +13,7 @@ from warpav.raster.mesh import Mesh
 _MIN_FACING = math.cos(math.radians(30.0))
 """Least cosine between a triangle of the pane and the pane's normal: what only ends at the pane stays, as a scuttle."""
 
-_SAME_M = 0.02
-"""A pane whose corners are so near to those of its mirror image is its own mirror image [m]."""
+_SAME_M = 0.02  # a pane whose corners are so near to those of its mirror image is its own mirror image [m]
 
 _STEPS = 6  # a triangle is cut into so many squared parts
 

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from warpav.raster.pane import Pane
     from warpav.scene import Scene
 
-_WORST_COUNT = 5
-"""Points of a requirement that a table and JSON name."""
+_WORST_COUNT = 5  # points of a requirement that a table and JSON name
 
 _SCHEMA = "warpav-requirements/1"
 

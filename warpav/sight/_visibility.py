@@ -25,11 +25,9 @@ from warpav.raster.scene import Scene
 from warpav.rig import Rig
 from warpav.sight._requirement import Ghosts
 
-_GHOSTS_AT_ONCE = 256
-"""Objects of one scene; a render of a chunk of views holds this many silhouettes in each."""
+_GHOSTS_AT_ONCE = 256  # objects of one scene; a render of a chunk of views holds this many silhouettes in each
 
-RENDER_WIDTH_PX = 640
-"""Wider images are drawn smaller, in proportion: shares and areas of test objects need no more."""
+RENDER_WIDTH_PX = 640  # wider images are drawn smaller, in proportion: shares and areas of test objects need no more
 
 _PAIRS_AT_ONCE = 8192  # of which solid angles are computed
 
@@ -73,8 +71,7 @@ def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:
     return np.stack([each.ego_from_camera for each in rig.cameras]), [each.model for each in rig.cameras]
 
 
-_VIEWS_AT_ONCE = 8
-"""With as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB."""
+_VIEWS_AT_ONCE = 8  # with as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB
 
 
 @dataclass(eq=False)

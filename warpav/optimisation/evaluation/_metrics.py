@@ -310,12 +310,9 @@ class RigObservation:
         ]
 
 
-_FOUND = 0.5
-"""Probability from which on a LiDAR finds an object."""
-_SEEN_POINTS = 1.0
-"""Of a LiDAR that return from an object that it sees."""
-_SURELY = 2.0
-"""Confidence above that of any detection: what a LiDAR finds is found whatever a detector's threshold is."""
+_FOUND = 0.5  # probability from which on a LiDAR finds an object
+_SEEN_POINTS = 1.0  # of a LiDAR that return from an object that it sees
+_SURELY = 2.0  # confidence above that of any detection: what a LiDAR finds is found whatever a detector's threshold is
 
 
 class _Scan(Observation):
