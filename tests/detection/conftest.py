@@ -12,6 +12,16 @@ CELL_PX = 32
 
 
 @pytest.fixture
+def one_thread():
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
 def cell_network(tmp_path):
     """Writes a network that sees a box in every 32 px cell: class k's score is the cell's mean of colour channel k.
 

@@ -32,12 +32,7 @@ STEP_M, LEVER_M = 0.05, 10.0
 SAME_SIDE_PX = 1.0
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def builtin_network(**options):

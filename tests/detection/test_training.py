@@ -24,12 +24,7 @@ from warpav.runs._detector_training import tables
 SIDE_PX = 64
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def _labelled_images(rng, count=4):
@@ -66,20 +61,20 @@ def test_cells_answer_for_the_object_that_they_lie_in():
     truth.ignored[0, 2] = True
     box_px = torch.cat([center_px - 8, center_px + 8], dim=-1)[None]
     score_logit = torch.zeros(1, len(center_px), 2)
-    assignment = assign_cells(score_logit, box_px, center_px, truth)
-    answers = assignment.target[0] > 0
+    object_index, target, counts = (each[0] for each in assign_cells(score_logit, box_px, center_px, truth))
+    answers = target > 0
     for index in (0, 1):
-        mine = answers & (assignment.object_index[0] == index)
+        mine = answers & (object_index == index)
         assert 1 <= int(mine.sum()) <= 10
         middle_px = 0.5 * (truth.box_px[0, index, :2] + truth.box_px[0, index, 2:])
         half_px = (0.5 * (truth.box_px[0, index, 2:] - truth.box_px[0, index, :2])).clamp(min=4.0)
         assert ((center_px[mine] - middle_px).abs() < half_px).all()
     # The best cell is to score the best IoU that any chosen cell reaches.
     iou = pairwise_iou(truth.box_px, box_px)[0, 0]
-    assert assignment.target[0][assignment.object_index[0] == 0].max() == pytest.approx(float(iou.max()))
+    assert target[object_index == 0].max() == pytest.approx(float(iou.max()))
     in_ignored = ((center_px > 40) & (center_px < 60)).all(dim=1)
-    assert not assignment.counts[0][in_ignored].any()
-    assert assignment.counts[0][~in_ignored].all()
+    assert not counts[in_ignored].any()
+    assert counts[~in_ignored].all()
 
 
 def test_the_loss_falls_towards_the_truth():

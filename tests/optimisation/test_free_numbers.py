@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.driving_scene import ConstantDetector, flat_surface, roof
 from tests.optimisation.known_optimum import _block, _body, _scene, _vehicle
 from tests.optimisation.objectives import rig_objective
+from tests.optimisation.test_missed import FREE
 from tests.thesis.test_descent import START, Slope, street_scenes
 from warpav.detection import DetectionProbability
 from warpav.optimisation import (
@@ -40,11 +41,6 @@ LENSES = [
     CameraModel(64, 48, math.radians(105.0), lens="panorama"),
 ]
 OFFSET_M = 0.25
-FREE = FreeRanges(
-    pitch_rad=(math.radians(-20.0), math.radians(20.0)),
-    height_m=(0.05, 0.6),
-    fov_rad=(math.radians(60.0), math.radians(110.0)),
-)
 
 
 def mount_of(free=FREE, surface=None, model=MODEL):

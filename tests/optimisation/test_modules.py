@@ -12,6 +12,7 @@ from tests.detection.test_probability import model_of
 from tests.driving_scene import ConstantDetector, street
 from tests.optimisation.calls import pool_search, select
 from tests.optimisation.test_pool import streets
+from tests.optimisation.test_zones import chart as chart_without_modules
 from tests.optimisation.test_zones import zones
 from warpav.core.errors import InputError
 from warpav.detection import SUREST, Fusion, LidarProbability
@@ -149,11 +150,6 @@ def test_each_camera_detects_what_a_mount_of_its_module_alone_says():
             expected = single.detection_probability(moved, scene)
             np.testing.assert_allclose(every[rows], expected, atol=2e-3)  # worst seen 4e-4: poses go through float32
     assert all(np.isfinite(each).all() for each in found)
-
-
-@functools.cache
-def chart_without_modules():
-    return chart_of(zones(), street().ego, cell_m=0.05, min_upward_normal=0.6, min_zone_normal=0.7)
 
 
 def test_the_jacobian_is_that_of_each_module():

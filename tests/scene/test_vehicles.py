@@ -106,9 +106,6 @@ def test_the_model_of_a_simulator_says_scale_and_front(tmp_path, sdf, expected):
     assert (None if found is None else (found.scale, found.forward)) == expected
 
 
-# ----------------------------------------------------------------------------------------------- mirrors
-
-
 # ----------------------------------------------------------------------------------------------- shipped
 
 SHIPPED = {

@@ -64,8 +64,7 @@ from warpav.thesis import BatchChooser, Descent, affordable_iterations, descent_
 
 _AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
-_GREEDY_DIRECTIONS = 8
-"""Directions that greedy cover evaluates at each position."""
+_GREEDY_DIRECTIONS = 8  # directions that greedy cover evaluates at each position
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ _SCHEMA = 2
 _RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
-_RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
-"""Such options of other sections."""
+_RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")  # such options of other sections
 
 _REFERENCE = "default"
 
@@ -128,8 +127,7 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     tasks = []
     for run in (run for runs in before.values() for run in runs):
         made_with = digest(_SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-        named = f"{run['arm']}_{run['seed']}"
-        tasks.append(_RescoreTask(named, config, folder.absolute(), out, made_with))
+        tasks.append(_RescoreTask(f"{run['arm']}_{run['seed']}", config, folder.absolute(), out, made_with))
     return _Rescoring(described, before, judge or name, config, out, tasks)
 
 
@@ -197,8 +195,7 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     """Evaluate a rig, write the new result and return it."""
     began = time.perf_counter()
     config = task.config
-    traffic = traffic_of_process(config, NullProgress())
-    placement = placement_on(traffic, config, load_networks(config), None)
+    placement = placement_on(traffic_of_process(config, NullProgress()), config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
     old = read_json(task.source / RESULTS / f"{task.name}.json")

@@ -28,8 +28,7 @@ _Row = dict[str, str]
 
 ROWS = "rows.csv"
 """The file of rows in the folder of a study."""
-OWN_JUDGE = "builtin"
-"""The judge of rows that come from the study itself: its own detector, or its objective."""
+OWN_JUDGE = "builtin"  # the judge of rows that come from the study itself: its own detector, or its objective
 MARK = re.compile(r"(<!-- rows: ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """What stands between such marks on a page is a table: its kind, and of which study and judge."""
 _COLUMNS = (
@@ -70,8 +69,7 @@ _COMPARED = {"attainable_misses_per_100": 1.0, "misses_at_equal_false_alarms": 1
 _MISSED = "misses_at_equal_false_alarms"
 _BY_HAND = {"corners", "cross", "edge", "highest", "nuscenes_layout", "nuscenes_as_built"}
 _PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
-_OBJECTIVE_COLUMNS = ("objective", "objective_seen")
-"""Shown only where no detector judged."""
+_OBJECTIVE_COLUMNS = ("objective", "objective_seen")  # shown only where no detector judged
 _THESIS_COLUMNS = {
     "avg_map50": ("average mAP@50", "map50_average"),
     "min_camera_map50": ("min camera mAP@50", "map50_min_camera"),

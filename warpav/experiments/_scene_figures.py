@@ -33,8 +33,7 @@ _OF_CAPTURES = {
     16: lambda capture, path: contact_sheet(capture, "instance", path),
 }
 """Figures of one capture, by their numbers in the thesis."""
-_COLLECTION_NUMBER = 8
-"""The figure of a collection of scenes."""
+_COLLECTION_NUMBER = 8  # the figure of a collection of scenes
 RIG_NUMBERS = (10, 11, 12)
 """The figures of rigs, which `warpav.experiments._method_figures` draws."""
 

@@ -21,8 +21,7 @@ from warpav.rig import RigCamera
 from warpav.scene import ROAD_USERS, Scene
 
 _DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0, 200.0)
-_VISIBLE_EDGES = (0.0, 0.4, 0.6, 0.8, 1.0)
-"""Edges of the shares of nuScenes: to 40 %, to 60 %, to 80 %, to all."""
+_VISIBLE_EDGES = (0.0, 0.4, 0.6, 0.8, 1.0)  # edges of the shares of nuScenes: to 40 %, to 60 %, to 80 %, to all
 _EYE_HEIGHT_M = 1.8
 _SIZE_PX = 768
 _VIEWS = 4

@@ -25,17 +25,14 @@ from warpav.optimisation import LOSSES
 from warpav.runs.config import Config, overridden_option
 from warpav.thesis import thesis_table
 
-GRADIENTS = "gradients"
-"""Method of an arm that finds no rig but measures gradients (tables I and V of the thesis)."""
+GRADIENTS = "gradients"  # method of an arm that finds no rig but measures gradients (tables I and V of the thesis)
 
 _FOLDER = Path(__file__).parent
 _FILES = _FOLDER / "studies"
 _METHOD_OF = {"SGD": "optimiser", "Random": "random_batches", "Highest": "highest"}
-_UNPRINTED = ("SGD", "IFR+DOA+SB+OV")
-"""What the text above table IV announces and the table does not print."""
+_UNPRINTED = ("SGD", "IFR+DOA+SB+OV")  # what the text above table IV announces and the table does not print
 
-Judge = Literal["objective", "detector"]
-"""Who judges rigs."""
+Judge = Literal["objective", "detector"]  # who judges rigs
 
 
 class _Part(BaseModel):

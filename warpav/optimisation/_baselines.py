@@ -13,8 +13,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig import MovedRig, Rig, blocked_shares, ray_caster
 
-TOP_M = 0.25
-"""How far below the highest point the top of a vehicle may reach [m]."""
+TOP_M = 0.25  # how far below the highest point the top of a vehicle may reach [m]
 
 
 def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
@@ -63,8 +62,7 @@ def random_mount_pose(constraints: Constraints, yaw_rad: np.ndarray, *, rng: np.
     return pose
 
 
-_PLACE_STEP_M = 0.05
-"""Distance between the places that are tried, on the mount surface."""
+_PLACE_STEP_M = 0.05  # distance between the places that are tried, on the mount surface
 
 
 def move_to_vehicle(

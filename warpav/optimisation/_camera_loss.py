@@ -30,10 +30,8 @@ from warpav.optimisation.selection._select import STARTS, TOLERANCE, Ended, Sele
 
 _MOST_EXCHANGES, _EXCHANGE_TIME = 8, 0.25
 """Times `STARTS` random rigs that are exchanged, and the share of a selection's time after which no more are."""
-OTHERS = 2
-"""Further rigs that are handed out for a polish: the best of a pool often ends higher than they."""
-SOFTNESS = 0.02
-"""Expected miss rate within which the worst loss is rounded where a polish looks for a better rig."""
+OTHERS = 2  # further rigs that are handed out for a polish: the best of a pool often ends higher than they
+SOFTNESS = 0.02  # expected miss rate within which the worst loss is rounded where a polish looks for a better rig
 
 
 @dataclass(frozen=True)

@@ -23,20 +23,15 @@ from warpav.rig import AS_BUILT, Role, preset_rig
 _CORNER_DEG = (44, 40, 42, 46, 48)
 """Half the angle between the cameras of a pair at the front, and at the rear [deg]; the first is tried first."""
 
-_SET_BACK_M = (0.3, 0.0, 0.6)
-"""How far behind the front edge the front pair stands [m]."""
+_SET_BACK_M = (0.3, 0.0, 0.6)  # how far behind the front edge the front pair stands [m]
 
-_PITCH_DEG = (12, 0, 6, 18)
-"""Pitches, nose down [deg]."""
+_PITCH_DEG = (12, 0, 6, 18)  # pitches, nose down [deg]
 
-_GROUND_FROM_M = 2.0
-"""From how far off the body on a layout of a known vehicle is pitched to see the ground [m]."""
+_GROUND_FROM_M = 2.0  # from how far off the body on a layout of a known vehicle is pitched to see the ground [m]
 
-_ALONG_RAD = math.radians(20.0)
-"""A camera that looks so nearly along an axis of the vehicle stands amid that edge."""
+_ALONG_RAD = math.radians(20.0)  # a camera that looks so nearly along an axis of the vehicle stands amid that edge
 
-_SAME_RAD = math.radians(1.0)
-"""A zone that turns a camera by more is not for it."""
+_SAME_RAD = math.radians(1.0)  # a zone that turns a camera by more is not for it
 
 _FRONT_RAD = math.radians(15.0)
 """Modules for the front, and for the rear, look so far aside at most where there are several."""
@@ -194,8 +189,7 @@ def _placed(mount: CameraMount, constraints: Constraints, pose: np.ndarray) -> n
 def _ground_pitch_deg(mount: CameraMount, constraints: Constraints) -> int:
     """The pitch from which the ground is seen from `_GROUND_FROM_M` off the body, as far as cameras may [deg]."""
     height_m = float(constraints.surface.highest_point_m()[2]) + mount.height_offset_m
-    half_rad = mount.camera.half_field[1]
-    return round(math.degrees(max(math.atan2(height_m, _GROUND_FROM_M) - half_rad, 0.0)))
+    return round(math.degrees(max(math.atan2(height_m, _GROUND_FROM_M) - mount.camera.half_field[1], 0.0)))
 
 
 def mount_pose_by_hand(

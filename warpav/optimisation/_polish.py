@@ -31,15 +31,13 @@ from warpav.optimisation._tangent_model import REACH, TANGENTS, HardPoints, Marg
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
 
-_Inequalities = tuple[np.ndarray, np.ndarray]
-"""``spare + slope . move >= 0``: float [row] and [row, camera, 7]."""
+_Inequalities = tuple[np.ndarray, np.ndarray]  # ``spare + slope . move >= 0``: float [row] and [row, camera, 7]
 
 _STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
 """How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
 _RADIUS_FIRST, _RADIUS_LAST = 0.4, 0.03
 """Of the first and of the last step, in `_STEP_UNIT`: 8 cm and 6 mm."""
-_RISE_MAX = 0.15
-"""How much higher than the best an objective may be, relatively, for the steps to go on from there."""
+_RISE_MAX = 0.15  # how much higher than the best an objective may be, relatively, for the steps to go on from there
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +150,7 @@ def polish(
 
 def _radii(first: float, count: int) -> np.ndarray:
     """A cosine from the first radius to the last."""
-    share = 0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1)))
-    return _RADIUS_LAST + (first - _RADIUS_LAST) * share
+    return _RADIUS_LAST + (first - _RADIUS_LAST) * (0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1))))
 
 
 def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:

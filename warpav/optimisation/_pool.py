@@ -31,14 +31,10 @@ from warpav.optimisation._required_points import RequiredPoints
 from warpav.optimisation._single_cameras import SingleCameras
 from warpav.scene import DeviceScene
 
-_CHUNK_CAMERAS = 512
-"""Cameras that one task draws in one scene."""
-_POOL_NAME = "scenes seen by the pool"
-"""What progress calls the cameras that are drawn."""
-_HALF_ABOVE_BYTES = 2**29
-"""Matrices that would be larger than this in single precision are kept in half precision."""
-SLOPE_COST = 2.0
-"""Time of a render with slopes over one of a pool, about."""
+_CHUNK_CAMERAS = 512  # cameras that one task draws in one scene
+_POOL_NAME = "scenes seen by the pool"  # what progress calls the cameras that are drawn
+_HALF_ABOVE_BYTES = 2**29  # matrices that would be larger than this in single precision are kept in half precision
+SLOPE_COST = 2.0  # time of a render with slopes over one of a pool, about
 _LEARNT_CAMERAS = 4  # that are drawn in each scene before their time tells anything
 _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
@@ -369,8 +365,7 @@ class _Source:
             yield self.cameras, lambda number: self.scenes[number]
             return
         # a process and a worker of Ray have one core each
-        is_alone = self.executor.name in ("process", "ray")
-        cameras = replace(self.cameras, thread_count=1) if is_alone else self.cameras
+        cameras = replace(self.cameras, thread_count=1) if self.executor.name in ("process", "ray") else self.cameras
         in_files = {number for number in numbers if isinstance(self.scenes[number], DeviceScene)}
         # the cache is seen by all machines
         beside = None if self.executor.name == "process" else self.drawing.cache

@@ -24,8 +24,7 @@ from warpav.optimisation._mount import MOUNT_POSE_SIZE
 
 _CAPACITY_BYTES = 2**30
 """What a folder holds at most; beyond that the chunks that were not used for the longest time go."""
-SCENES = "scenes-"
-"""How the names of folders begin in which scenes travel to tasks."""
+SCENES = "scenes-"  # how the names of folders begin in which scenes travel to tasks
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
 """What `read_arrays` raises where there is no such file."""
 _FORMAT = 1

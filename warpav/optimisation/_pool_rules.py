@@ -43,14 +43,11 @@ from warpav.sight import (
 ALONE = ("own_body", "horizon", "crossing", "housing")
 """Rules that a camera, or a pair that mirrors itself, keeps or breaks alone."""
 
-_MARGIN_SCALE = 5.0
-"""Of a margin: a share of .01 of an image, or .01 rad, are .05 of it, what a polish keeps back."""
+_MARGIN_SCALE = 5.0  # of a margin: a share of .01 of an image, or .01 rad, are .05 of it, what a polish keeps back
 
-_CLEAR = 0.01
-"""How far outside of an image another camera's box is kept, as a share of the width."""
+_CLEAR = 0.01  # how far outside of an image another camera's box is kept, as a share of the width
 
-_STEP = 1e-3
-"""Half a difference in every number of a mount pose [m, rad, 1]."""
+_STEP = 1e-3  # half a difference in every number of a mount pose [m, rad, 1]
 
 
 _Expanded = tuple[np.ndarray, np.ndarray, list[CameraModel], np.ndarray]
@@ -224,8 +221,7 @@ class PoolRules:
         """All cameras of some rows, those of pairs twice: their row, pose in the ego frame, model and box."""
         rows, views, models, corners = [], [], [], []
         for side, row in self._sides(pose):
-            own = pose[row] if side == 0 else pose[row] * MIRROR
-            in_ego, model = self.cameras.sides[side].in_ego(own)
+            in_ego, model = self.cameras.sides[side].in_ego(pose[row] if side == 0 else pose[row] * MIRROR)
             module = self.cameras.mount.module_of(pose[row])
             rows += row.tolist()
             views.append(in_ego)

@@ -36,12 +36,10 @@ from warpav.rig import Rig, RigCamera
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven")
 STEP_M, STEP_DEG = 0.005, 0.5
 """Steps of the numbers of poses as a workshop takes them."""
-_ROUNDINGS_AT_ONCE = 4
-"""Roundings of a camera of which the best is taken."""
+_ROUNDINGS_AT_ONCE = 4  # roundings of a camera of which the best is taken
 _ROUNDED_BY = np.array([STEP_M, STEP_M, *3 * [math.radians(STEP_DEG)], STEP_M, 0.001])  # numbers of a mount pose
 _NUMBERS = {column: name for name, column in COLUMNS.items()} | {LOG_ZOOM: "field of view"}
-_SIMPLER = 0.002
-"""What the simpler rig may miss more."""
+_SIMPLER = 0.002  # what the simpler rig may miss more
 
 
 @dataclass(frozen=True)

@@ -47,12 +47,10 @@ from warpav.sight import AZIMUTH_STEP_RAD, NEAR_M
 
 _Known = tuple[np.ndarray, float]  # cameras of a rig of the pool, int [camera], and its objective
 _Stage = Literal["start", "selection", "polish", "pricing", "settled"]
-_START_NAME = "scenes seen by the start"
-"""What progress calls them."""
+_START_NAME = "scenes seen by the start"  # what progress calls them
 _POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
-_PRICED_STEPS = 3
-"""Steps of the ascent of the prices."""
+_PRICED_STEPS = 3  # steps of the ascent of the prices
 _FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (10, 1.0), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 WHOLE_POLISH = (40, 1.0)  # of a rig by hand where there is no pool
@@ -61,14 +59,12 @@ _GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
 _REPLACEMENTS, _REPLACEMENT_POLISH, _VAIN_REPLACEMENTS = 4, (12, 0.4), 2
 """Single cameras that are polished from elsewhere at a time, their steps and first radius, and how often in vain."""
-_NEAR_CAMERAS = 16
-"""Cameras that are drawn around each of the rig's at a time."""
+_NEAR_CAMERAS = 16  # cameras that are drawn around each of the rig's at a time
 _REFINED_FROM, _REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
 _PRICE, _LOOSER_GAP_PRICE = 0.01, 0.0025
 """Shares of the objective that the rules of gap and near ground together may cost; and a gap wider than asked for."""
-_POLISHED_BY_HAND = 3
-"""Rigs by hand that are polished."""
+_POLISHED_BY_HAND = 3  # rigs by hand that are polished
 _SAME = 1e-6  # the polish and the pool round differently
 _TOLD = {
     "select": "selecting",

@@ -17,10 +17,8 @@ from warpav.optimisation._camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation._mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation._pool import CameraPool
 
-_ELITE = 12
-"""Cameras nearby that say in which directions to look, the best ones."""
-_FLOOR = 0.1
-"""Standard deviation that is added in every direction, in radii."""
+_ELITE = 12  # cameras nearby that say in which directions to look, the best ones
+_FLOOR = 0.1  # standard deviation that is added in every direction, in radii
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
 
 

@@ -83,16 +83,11 @@ def _require_meetable(visibility: Visibility, ghosts: Ghosts, count: int) -> Non
         raise InputError(*lines)
 
 
-MET = 0.999
-"""Probability of a point that a camera meets."""
-_NEARLY_MET = 0.9
-"""Probability just before: two cameras that do not meet a point together stay below one that does."""
-_HARD_WEIGHT = 0.1
-"""Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
-_NEAR_EDGE = 3.0
-"""Margin from which on a hard point counts as met whatever a step does."""
-_SEEN_KEPT = 2
-"""Answers with Jacobians that are kept: of a pair's two sides."""
+MET = 0.999  # probability of a point that a camera meets
+_NEARLY_MET = 0.9  # probability just before: two cameras that do not meet a point together stay below one that does
+_HARD_WEIGHT = 0.1  # weight of a hard requirement: it leads the search to where it is met, and the rows keep it there
+_NEAR_EDGE = 3.0  # margin from which on a hard point counts as met whatever a step does
+_SEEN_KEPT = 2  # answers with Jacobians that are kept: of a pair's two sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,8 +204,7 @@ class RequiredPoints:
             which = np.flatnonzero((is_steep | is_near).any(axis=0))
             found = None
             if len(which):
-                ghosts = self.ghosts.at(which)
-                world = GhostWorld(ghosts, self.ego, device=self.device, renderers=self._renderers)
+                world = GhostWorld(self.ghosts.at(which), self.ego, device=self.device, renderers=self._renderers)
                 found = world.jacobians(ego_from_camera, models)
             while len(self._seen) >= _SEEN_KEPT:
                 del self._seen[next(iter(self._seen))]
@@ -239,8 +233,7 @@ class RequiredPoints:
 
     def is_kept(self, probability: np.ndarray) -> bool:
         """Whether a rig whose cameras see the points so surely, [camera, point], meets all hard requirements."""
-        found = self.meets(probability).sum(axis=0)
-        return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
+        return bool((self.meets(probability).sum(axis=0) >= self.ghosts.of_each("cameras"))[self.is_hard].all())
 
     def rows(self, probability: np.ndarray) -> tuple[list[Row], np.ndarray]:
         """`_requirement_rows` of cameras that see the points so surely, [camera, point]."""

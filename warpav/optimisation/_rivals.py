@@ -25,14 +25,12 @@ from warpav.optimisation.losses._scene_on_tape import AssignedScene
 from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection._select import Selection, select
 
-_FIRST_STEP = 0.2
-"""First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
+_FIRST_STEP = 0.2  # first standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw
 
 _NEAR_STEP, _SCENES_AT_ONCE, _MEAN_EVERY = 0.05, 5, 10
 """First standard deviation of CMA-ES around a rig, scenes a generation, generations between looks at all scenes."""
 
-_SEEN_SHARE = 0.9
-"""Assumed probability that a camera detects an object that the detector once found in its image."""
+_SEEN_SHARE = 0.9  # assumed probability that a camera detects an object that the detector once found in its image
 
 
 Draw = Callable[[SearchSpace, int, np.random.Generator], np.ndarray]

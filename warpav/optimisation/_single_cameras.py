@@ -44,8 +44,7 @@ from warpav.raster.scene import Scene as RasterScene
 from warpav.scene import DeviceScene
 from warpav.sight import Visibility
 
-_CPU_VIEWS = 16
-"""Views that one thread renders at once, at most."""
+_CPU_VIEWS = 16  # views that one thread renders at once, at most
 _CPU_KEY_BYTES = 2**26
 """Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
 _OUTLINED = 8
@@ -344,8 +343,7 @@ class SingleCameras:
         views = sum(each.view_count for each in self._renderers.used)
         if self._is_cuda or not views:
             return 0
-        most = max(map(self._most_views, range(len(self.mount.cameras))))
-        together = min(count, self.scenes_at_once * most)
+        together = min(count, self.scenes_at_once * max(map(self._most_views, range(len(self.mount.cameras)))))
         each = self._renderers.held_bytes / views
         return int(max(min(each * min(count, together * len(self.mount.cameras)), KEPT_BYTES), each * together))
 
@@ -380,8 +378,7 @@ class _RendererMaker:
 
     def kept(self, renderers: KeptRenderers, view_count: int) -> Sequence[Renderer]:
         """One for each thread, of a GPU one, that others asked for before."""
-        is_cuda = wp.get_device(self.device).is_cuda
-        count = 1 if is_cuda else self.thread_count or available_cores()
+        count = 1 if wp.get_device(self.device).is_cuda else self.thread_count or available_cores()
         return renderers.of((self, view_count), lambda: self.new(view_count, count))
 
 

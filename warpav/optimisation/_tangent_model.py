@@ -31,8 +31,7 @@ from warpav.detection import SUREST
 
 Margins = tuple[np.ndarray, np.ndarray]
 """Margins of cameras at points [camera, point], and their Jacobian to the mount poses [camera, point, 7]."""
-KEPT_BACK = 0.05
-"""How far above 1 a margin is kept, where it is not below already, as tangents are not exact."""
+KEPT_BACK = 0.05  # how far above 1 a margin is kept, where it is not below already, as tangents are not exact
 _MARGIN_CONTRADICTION = 0.3
 """How far below what was rendered a tangent may be; one that is lower by more has been proven wrong."""
 
@@ -98,10 +97,8 @@ class Edges:
         return result
 
 
-TANGENTS = 6
-"""Earlier poses of a camera whose tangents count, at most."""
-REACH = 3.0
-"""How far those may be in a number, in radii of the step to be taken."""
+TANGENTS = 6  # earlier poses of a camera whose tangents count, at most
+REACH = 3.0  # how far those may be in a number, in radii of the step to be taken
 CONTRADICTION = 0.3
 """Logit by which a tangent may be below what was rendered; one that is lower by more has been proven wrong."""
 _RigValue = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]

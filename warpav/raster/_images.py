@@ -144,7 +144,8 @@ def record(buffers: Buffers, image: wp.array, poses: ViewPoses, backward: Callab
 
     Parts that want no gradient get a buffer that nobody reads.
     """
-    tape = _active_tape()
+    # Warp has no public name for the tape that records now, None outside of any: its own ``wp.copy`` asks so (1.19)
+    tape: wp.Tape | None = wp._src.context.runtime.tape  # pyright: ignore[reportAttributeAccessIssue]
     wanted = [array for array in poses if array is not None and array.requires_grad]
     if tape is None or not wanted:
         return
@@ -155,15 +156,6 @@ def record(buffers: Buffers, image: wp.array, poses: ViewPoses, backward: Callab
         for i, (array, dtype) in enumerate(zip(poses, (wp.vec3, wp.mat33, float), strict=True))
     ]
     tape.record_func(lambda: backward(gradients), [image, *wanted])
-
-
-def _active_tape() -> wp.Tape | None:
-    """The tape that records now, None outside of any.
-
-    Warp records launches and copies by itself, but has no public name for where: its own ``wp.copy`` asks as is done
-    here (1.19).
-    """
-    return wp._src.context.runtime.tape  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def require_depth(background_m: float) -> None:

@@ -18,8 +18,7 @@ PIXELS_PER_RAD = 2048 / (2.0 * math.pi)
 """Of panoramas, in both directions: two pixels and more on a pedestrian 50 m away."""
 
 _MOST_BEAMS, _MOST_RATE_HZ, _LEAST_SHOTS = 4096, 1000.0, 100
-_CELL_RAD = math.radians(1.0)
-"""Of patterns: finer cells would hold too few shots."""
+_CELL_RAD = math.radians(1.0)  # of patterns: finer cells would hold too few shots
 
 
 @dataclass(frozen=True)

@@ -47,11 +47,9 @@ _CUDA_STRIP_SAMPLES = 64  # there is room for a strip in so many samples of the 
 _MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
 _MAX_VIEW_SAMPLES = 2**27
 
-_REACH_STEP_RAD = math.radians(3.0)
-"""Zooms whose images end at nearly the same angle from the axis share a table."""
+_REACH_STEP_RAD = math.radians(3.0)  # zooms whose images end at nearly the same angle from the axis share a table
 
-_WIDE_RAD = 50.0
-"""Half the size of a window that holds all directions, whatever its softness."""
+_WIDE_RAD = 50.0  # half the size of a window that holds all directions, whatever its softness
 
 
 FIRST = object()

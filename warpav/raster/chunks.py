@@ -25,8 +25,7 @@ from warpav.raster.scene import Scene
 KEPT_BYTES = 2**29
 _CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
-_GPU_ROOM = 4
-"""What a view takes on a GPU over its keys: silhouettes, images and what is measured of them as well."""
+_GPU_ROOM = 4  # what a view takes on a GPU over its keys: silhouettes, images and what is measured of them as well
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")

@@ -20,8 +20,7 @@ from warpav.raster.poses import ViewPoses, view_poses
 from warpav.raster.scene import Scene
 from warpav_kernels import raster as kernels
 
-_OF_MEASURES = (Content.OBJECTS, Content.COVERAGE)
-"""What a render with all measures holds as well."""
+_OF_MEASURES = (Content.OBJECTS, Content.COVERAGE)  # what a render with all measures holds as well
 
 
 class Frame:

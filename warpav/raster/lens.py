@@ -28,14 +28,11 @@ from functools import cache, cached_property
 
 import numpy as np
 
-_MAX_TANGENT = 100.0
-"""A Brown-Conrady lens sees no farther from its axis than 89.4 degrees."""
+_MAX_TANGENT = 100.0  # a Brown-Conrady lens sees no farther from its axis than 89.4 degrees
 
-_TABLE_ENTRIES = 4096
-"""Entries of `image_table`."""
+_TABLE_ENTRIES = 4096  # entries of `image_table`
 
-_NEARBY_RAD = 0.16
-"""How far from an entry of it a great circle may begin."""
+_NEARBY_RAD = 0.16  # how far from an entry of it a great circle may begin
 
 _LAST_RAD = math.radians(175.0)  # from the axis: beyond, a fisheye's image of a point is a circle
 _TURN_SHARE = 0.995  # of the place where the radius stops growing: just before it the image has no width
@@ -327,8 +324,7 @@ def image_table(shape: LensShape, reach_rad: float) -> np.ndarray:
         place = [
             _place_beyond(shape, reach_rad, math.cos(s) * direction + math.sin(s) * ahead.T) for s in (-step, 0.0, step)
         ]
-        second = np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2
-        curvature = np.maximum(curvature, second)
+        curvature = np.maximum(curvature, np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2)
     reach = math.ceil(_NEARBY_RAD / (at[1] - at[0]))
     padded = np.pad(curvature, reach, mode="edge")
     greatest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)

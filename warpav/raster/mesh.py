@@ -10,8 +10,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 
-_GREY = (128, 128, 128)
-"""Colour of a mesh that was given none."""
+_GREY = (128, 128, 128)  # colour of a mesh that was given none
 
 MAX_COUNT = 2**31 - 1
 """Indices of vertices and triangles are 32-bit integers."""

@@ -13,8 +13,7 @@ from warpav.raster.mesh import Mesh
 _MIN_FACING = math.cos(math.radians(30.0))
 """Least cosine between a triangle of the pane and the pane's normal: what only ends at the pane stays, as a scuttle."""
 
-_SAME_M = 0.02
-"""A pane whose corners are so near to those of its mirror image is its own mirror image [m]."""
+_SAME_M = 0.02  # a pane whose corners are so near to those of its mirror image is its own mirror image [m]
 
 _STEPS = 6  # a triangle is cut into so many squared parts
 
@@ -88,8 +87,7 @@ class Pane:
         corner_m = corner_m[near]
         normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
         along = np.abs(normal @ self._axes[2]) >= _MIN_FACING * np.linalg.norm(normal, axis=1)
-        inside = self.holds(np.einsum("sk,tki->tsi", _middles(), corner_m))
-        clear[near] = along & (inside.mean(axis=1) >= 0.5)
+        clear[near] = along & (self.holds(np.einsum("sk,tki->tsi", _middles(), corner_m)).mean(axis=1) >= 0.5)
         return clear
 
     def opened(self, mesh: Mesh) -> Mesh:
@@ -119,8 +117,7 @@ class Pane:
 def _middles() -> np.ndarray:
     """Shares of the corners in the middles of the equal parts that a triangle is cut into, float64 [part, 3]."""
     i, j = np.divmod(np.arange(_STEPS**2), _STEPS)
-    both = [np.stack([i, j], axis=1) + at for at in (1 / 3, 2 / 3)]
-    share = np.concatenate(both) / _STEPS
+    share = np.concatenate([np.stack([i, j], axis=1) + at for at in (1 / 3, 2 / 3)]) / _STEPS
     share = share[share.sum(axis=1) < 1.0]
     return np.c_[1.0 - share.sum(axis=1), share]
 

@@ -10,8 +10,7 @@ import warp as wp
 from warpav.core.errors import InputError
 from warpav_kernels.raster import linearise
 
-_RIGID_TOLERANCE = 1e-3
-"""A rotation times its transpose may differ from the identity by so much."""
+_RIGID_TOLERANCE = 1e-3  # a rotation times its transpose may differ from the identity by so much
 
 
 class ViewPoses(NamedTuple):

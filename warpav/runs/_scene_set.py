@@ -472,8 +472,8 @@ def _traffic(config: Config, seeds: Sequence[int], ego: Mesh | None, progress: P
         }
         found = [of_part[part][seed] for part, seed in zip(part_of, seeds, strict=True)]
     else:
-        traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m, say=lines.append)
-        moments = [moment_of(traffic.test if seed in tested else traffic.search, seed) for seed in seeds]
+        search, test = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m, say=lines.append)
+        moments = [moment_of(test if seed in tested else search, seed) for seed in seeds]
         found = [TrafficSource(moment, seed, fleet) for moment, seed in zip(moments, seeds, strict=True)]
     if lines and (scenes.recordings or scenes.places):
         more = f", and {len(lines) - 1} recordings more; warpav scenes traffic names them" * (len(lines) > 1)

@@ -318,16 +318,16 @@ def follow_textures(
         ends = np.sort(np.stack([place, np.roll(place, -1, axis=1)], axis=-1), axis=-1)
         edge = ends[..., 0] * len(mesh.vertex) + ends[..., 1]
         wanted = edge[worst][texels[worst] > 0.5 * longest[worst][:, None]]
-        split = _split(mesh, textures, np.isin(edge, wanted))
-        if len(split.mesh.vertex) > vertices_max:
+        finer, kept, new = _split(mesh, textures, np.isin(edge, wanted))
+        if len(finer.vertex) > vertices_max:
             if len(worst) == 1:
                 break
             wanted = edge[worst[:1]][texels[worst[:1]] > 0.5 * longest[worst[:1]][:, None]]
-            split = _split(mesh, textures, np.isin(edge, wanted))
-            if len(split.mesh.vertex) > vertices_max:
+            finer, kept, new = _split(mesh, textures, np.isin(edge, wanted))
+            if len(finer.vertex) > vertices_max:
                 break
-        mesh = split.mesh
-        error = np.concatenate([error[split.kept], _colour_errors(mesh, textures, split.new)])
+        mesh = finer
+        error = np.concatenate([error[kept], _colour_errors(mesh, textures, new)])
     return mesh
 
 
@@ -353,17 +353,13 @@ def _colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.nd
     return error
 
 
-@dataclass(frozen=True, eq=False)
-class _Split:
-    """A mesh after a round: ``kept`` triangles of the old one come first, ``new`` ones behind."""
+def _split(
+    mesh: TexturedMesh, textures: Sequence[Texture], is_halved: np.ndarray
+) -> tuple[TexturedMesh, np.ndarray, np.ndarray]:
+    """The mesh with a vertex in the middle of some edges, bool [triangle, 3]; edge i runs from corner i to i + 1.
 
-    mesh: TexturedMesh
-    kept: np.ndarray
-    new: np.ndarray
-
-
-def _split(mesh: TexturedMesh, textures: Sequence[Texture], is_halved: np.ndarray) -> _Split:
-    """The mesh with a vertex in the middle of some edges, bool [triangle, 3]; edge i runs from corner i to i + 1."""
+    Triangles that are kept come first; their numbers in the old mesh, and in the new one those of the others.
+    """
     is_kept = ~is_halved.any(axis=1)
     triangle, is_halved, texture_of = (each[~is_kept] for each in (mesh.triangle, is_halved, mesh.texture_of))
     ends = np.sort(np.stack([triangle, np.roll(triangle, -1, axis=1)], axis=-1), axis=-1)
@@ -395,7 +391,7 @@ def _split(mesh: TexturedMesh, textures: Sequence[Texture], is_halved: np.ndarra
         np.concatenate([mesh.uv, uv]),
         np.concatenate([mesh.texture_of[kept], new_texture]),
     )
-    return _Split(split, kept, len(kept) + np.arange(len(new)))
+    return split, kept, len(kept) + np.arange(len(new))
 
 
 def _edge_texels(mesh: TexturedMesh, size_px: np.ndarray, index: np.ndarray | None = None) -> np.ndarray:

@@ -26,8 +26,7 @@ PATCH_M = 0.05
 
 _RADIUS_M = 25.0
 _CELL_M = 0.5
-_STEP_M = 0.3
-"""Surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches."""
+_STEP_M = 0.3  # surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches
 
 
 DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, _RADIUS_M)

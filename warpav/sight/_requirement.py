@@ -182,8 +182,7 @@ SIZES_M = {
 }
 """Length along x, width along y and height of the test objects that have a name [m]."""
 
-_SIDES = 12
-"""Of an upright test object: its outline touches the length and the width."""
+_SIDES = 12  # of an upright test object: its outline touches the length and the width
 
 
 @dataclass(frozen=True)
@@ -247,8 +246,7 @@ def _prism(size_m: tuple[float, float, float], *, is_box: bool) -> Mesh:
 
 # ------------------------------------------------------------------------------------------------ requirements
 
-MAX_GHOSTS = 100_000
-"""Points of all requirements together."""
+MAX_GHOSTS = 100_000  # points of all requirements together
 
 
 @dataclass(frozen=True)

@@ -33,11 +33,9 @@ _WIDE_RAD = math.radians(150.0)
 AZIMUTH_STEP_RAD = math.radians(3.0)
 """Between the directions that are looked at."""
 
-_RING_M = 15.0
-"""How far from the middle of the vehicle a road user must be in some image, whatever its direction [m]."""
+_RING_M = 15.0  # how far from the middle of the vehicle a road user must be in some image, whatever its direction [m]
 
-_RING_HEIGHT_M = 0.75
-"""Half the height of a car [m]."""
+_RING_HEIGHT_M = 0.75  # half the height of a car [m]
 
 NEAR_M = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Distances from the body from which on the ground may have to be seen [m]."""
@@ -49,8 +47,7 @@ _IMAGE_PX, _VIEWS_AT_ONCE = 160, 8
 SPARED = 1e-4
 """By how much a camera may break what it must keep alone, a share of an image or degrees: less is rounding."""
 
-_MIDDLE_M = 0.3
-"""A camera nearer to the middle of the vehicle does not look across it [m]."""
+_MIDDLE_M = 0.3  # a camera nearer to the middle of the vehicle does not look across it [m]
 
 
 @dataclass(frozen=True)
@@ -241,7 +238,8 @@ class RuleCheck:
             names = (self._names[int(seer)], self._names[int(other)])
             value = float(share.max())
             found.append(RuleMargin("housing", names, value, rules.housing, "of the image", value <= rules.housing))
-        if rules.azimuth_gap_rad is not None and _has_whole_turn(self._models):
+        goes_round = sum(model.fov_rad for model in self._models) >= 2.0 * math.pi - 1e-6
+        if rules.azimuth_gap_rad is not None and goes_round:
             gap = math.degrees(self.azimuth_gap_rad)
             limit = math.degrees(rules.azimuth_gap_rad)
             found.append(RuleMargin("azimuth_gap", (), gap, limit, "deg", gap <= limit + 1e-9))
@@ -285,11 +283,6 @@ def own_body_limit(rules: Rules, model: CameraModel) -> float:
     """The share of the own body that a camera may see."""
     limit = rules.own_body_wide if model.fov_rad >= _WIDE_RAD else rules.own_body
     return 1.0 if limit is None else limit
-
-
-def _has_whole_turn(models: Sequence[CameraModel]) -> bool:
-    """Whether fields of view together go all round."""
-    return sum(model.fov_rad for model in models) >= 2.0 * math.pi - 1e-6
 
 
 def widest_gap(seen: np.ndarray) -> int:

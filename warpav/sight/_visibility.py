@@ -25,11 +25,9 @@ from warpav.raster.scene import Scene
 from warpav.rig import Rig
 from warpav.sight._requirement import Ghosts
 
-_GHOSTS_AT_ONCE = 256
-"""Objects of one scene; a render of a chunk of views holds this many silhouettes in each."""
+_GHOSTS_AT_ONCE = 256  # objects of one scene; a render of a chunk of views holds this many silhouettes in each
 
-RENDER_WIDTH_PX = 640
-"""Wider images are drawn smaller, in proportion: shares and areas of test objects need no more."""
+RENDER_WIDTH_PX = 640  # wider images are drawn smaller, in proportion: shares and areas of test objects need no more
 
 _PAIRS_AT_ONCE = 8192  # of which solid angles are computed
 
@@ -50,8 +48,7 @@ class Visibility:
     def closeness(self, ghosts: Ghosts) -> np.ndarray:
         """The lesser of share and pixels over what is needed, 1 where a camera meets it, float64 [camera, ghost]."""
         needed = np.maximum(ghosts.of_each("pixels"), 1e-9)
-        share = self.visible_share / ghosts.of_each("visible_share")
-        return np.minimum(np.minimum(share, self.pixels / needed), 1.0)
+        return np.minimum(np.minimum(self.visible_share / ghosts.of_each("visible_share"), self.pixels / needed), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +70,7 @@ def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:
     return np.stack([each.ego_from_camera for each in rig.cameras]), [each.model for each in rig.cameras]
 
 
-_VIEWS_AT_ONCE = 8
-"""With as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB."""
+_VIEWS_AT_ONCE = 8  # with as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB
 
 
 @dataclass(eq=False)

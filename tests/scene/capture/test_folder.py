@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.scene.capture.test_plan import EGO_BOX, ScriptedSimulator
+from tests.scene.test_files import edit, remove, replace_image
 from warpav.core.errors import InputError
 from warpav.scene import CapturedImage, PlanSettings, read_capture
 from warpav.scene.capture._folder import DESCRIPTION, check_capture, record_capture
@@ -81,24 +82,6 @@ def test_depths_may_be_floats(folder):
     np.testing.assert_array_equal(read_capture(folder).images[0].depth_m, depth_m)
 
 
-def _edit(**changes):
-    def spoil(folder):
-        content = json.loads((folder / DESCRIPTION).read_text())
-        for path, value in changes.items():
-            *parents, last = path.split("__")
-            place = content
-            for name in parents:
-                place = place[int(name)] if name.isdigit() else place[name]
-            place[int(last) if last.isdigit() else last] = value
-        (folder / DESCRIPTION).write_text(json.dumps(content))
-
-    return spoil
-
-
-def _replace(name, image):
-    return lambda folder: cv2.imwrite(str(folder / "images" / name), image)
-
-
 def _truncate(name):
     def spoil(folder):
         file = folder / "images" / name
@@ -121,30 +104,27 @@ def _claim_4_gb(name):
 MIRROR = [[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, 2], [0, 0, 0, 1]]
 STRETCHED = [[0, 0, 2, 0], [-1, 0, 0, 0], [0, -1, 0, 2], [0, 0, 0, 1]]
 WRONG = [
-    (
-        lambda folder: (folder / "images" / "ego_top_rgb.png").unlink(),
-        "ego_top_rgb.png: expected an image, got no such",
-    ),
+    (remove("ego_top_rgb.png"), "ego_top_rgb.png: expected an image, got no such"),
     (_truncate("ego_top_depth.png"), "ego_top_depth.png: expected a PNG image, got a file that is truncated"),
     (_claim_4_gb("ego_top_rgb.png"), "ego_top_rgb.png: expected a PNG image, got a file that is truncated"),
-    (_replace("ego_top_depth.png", np.zeros((9, 9), np.uint16)), "ego_top_depth.png: expected 48 x 32 px as"),
-    (_replace("ego_top_rgb.png", np.zeros((32, 48), np.uint8)), r"ego_top_rgb.png: expected uint8 \[32, 48, 3\]"),
-    (_replace("ego_top_instance.png", np.full((32, 48), 9, np.uint16)), "got 9, which has no box there"),
-    (_edit(images__0__ego_from_camera=MIRROR), r"images\[0\]\.ego_from_camera: expected a rotation .*left-handed"),
-    (_edit(images__0__ego_from_camera=STRETCHED), r"images\[0\]\.ego_from_camera: expected a rotation .* off by 3"),
+    (replace_image("ego_top_depth.png", np.zeros((9, 9), np.uint16)), "ego_top_depth.png: expected 48 x 32 px as"),
+    (replace_image("ego_top_rgb.png", np.zeros((32, 48), np.uint8)), r"ego_top_rgb.png: expected uint8 \[32, 48, 3\]"),
+    (replace_image("ego_top_instance.png", np.full((32, 48), 9, np.uint16)), "got 9, which has no box there"),
+    (edit(images__0__ego_from_camera=MIRROR), r"images\[0\]\.ego_from_camera: expected a rotation .*left-handed"),
+    (edit(images__0__ego_from_camera=STRETCHED), r"images\[0\]\.ego_from_camera: expected a rotation .* off by 3"),
     (
-        _edit(images__0__intrinsics=[[9, 1, 5], [0, 9, 5], [0, 0, 1]]),
+        edit(images__0__intrinsics=[[9, 1, 5], [0, 9, 5], [0, 0, 1]]),
         r"images\[0\]\.intrinsics: expected focal lengths",
     ),
-    (_edit(images__0__intrinsics=[[9, 0, 1e300], [0, 9, 5], [0, 0, 1]]), r"images\[0\]\.intrinsics"),
-    (_edit(vehicles__0__box_size_m=[4.0, -1.0, 1.0]), r"vehicles\[0\]\.box_size_m\[1\]: expected more than 0, got -1"),
-    (_edit(vehicles__1__instance_id=1), "vehicles: instance_id: expected each once, got 1 2 times"),
-    (_edit(images__1__name="ego_top"), "images: name: expected each once, got ego_top 2 times"),
-    (_edit(vehicles__0__colour="red"), r"vehicles\[0\]\.colour: expected one of .*, got 'colour'"),
-    (_edit(images__0__rgb="/etc/hostname"), r"images\[0\]\.rgb: expected a file inside .* got '/etc/hostname'"),
-    (_edit(images__0__depth="../scene_8/d.png"), r"images\[0\]\.depth: expected a file inside the folder"),
-    (_edit(images__0__instance="a/..\\..\\b.png"), r"images\[0\]\.instance: expected a file inside the folder"),
-    (_edit(schema="warpav-capture/9"), "schema: expected warpav-capture/1, got 'warpav-capture/9'"),
+    (edit(images__0__intrinsics=[[9, 0, 1e300], [0, 9, 5], [0, 0, 1]]), r"images\[0\]\.intrinsics"),
+    (edit(vehicles__0__box_size_m=[4.0, -1.0, 1.0]), r"vehicles\[0\]\.box_size_m\[1\]: expected more than 0, got -1"),
+    (edit(vehicles__1__instance_id=1), "vehicles: instance_id: expected each once, got 1 2 times"),
+    (edit(images__1__name="ego_top"), "images: name: expected each once, got ego_top 2 times"),
+    (edit(vehicles__0__colour="red"), r"vehicles\[0\]\.colour: expected one of .*, got 'colour'"),
+    (edit(images__0__rgb="/etc/hostname"), r"images\[0\]\.rgb: expected a file inside .* got '/etc/hostname'"),
+    (edit(images__0__depth="../scene_8/d.png"), r"images\[0\]\.depth: expected a file inside the folder"),
+    (edit(images__0__instance="a/..\\..\\b.png"), r"images\[0\]\.instance: expected a file inside the folder"),
+    (edit(schema="warpav-capture/9"), "schema: expected warpav-capture/1, got 'warpav-capture/9'"),
     (lambda folder: (folder / DESCRIPTION).write_text("{"), r"capture\.json:1: expected valid JSON"),
     (lambda folder: (folder / DESCRIPTION).write_text("[3]"), r"capture\.json:1: expected an object with .* got \[3\]"),
     (lambda folder: (folder / "images" / "ego_top_rgb.png").write_bytes(b""), "ego_top_rgb.png: expected a PNG image"),
@@ -171,7 +151,7 @@ def test_a_vehicle_that_no_image_shows_is_told(folder):
 
 
 def test_a_box_elsewhere_than_its_pixels_is_told(folder):
-    _edit(vehicles__0__box_center_m=[0.0, 0.0, 500.0], ego__box_center_m=[0.0, 0.0, -500.0])(folder)
+    edit(vehicles__0__box_center_m=[0.0, 0.0, 500.0], ego__box_center_m=[0.0, 0.0, -500.0])(folder)
     ego, vehicle = check_capture(folder)
     assert "capture.json: ego: expected its pixels to lie in its 3D box, got none of " in ego
     assert "capture.json: vehicles: instance_id 1: expected its pixels to lie in its 3D box, got none of " in vehicle

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from warpav.raster.camera import CameraModel
 from warpav.scene import CapturedImage, ViewKind
@@ -34,14 +35,10 @@ def colour_of_origin(*images, instance=INSTANCE):
     return tuple(seen_rgb(np.zeros((1, 3)), -X[None], images, instance, tolerance_m=0.05)[0])
 
 
-def test_the_nearer_view_gives_the_colour():
-    near, far = looking_along_x(RED, distance_m=3.0), looking_along_x(GREEN, distance_m=5.0)
-    assert colour_of_origin(near, far) == colour_of_origin(far, near) == RED
-
-
-def test_the_squarer_view_gives_the_colour():
-    square, flat = looking_along_x(RED, distance_m=3.0), looking_along_x(GREEN, distance_m=3.0, turned_rad=1.2)
-    assert colour_of_origin(square, flat) == colour_of_origin(flat, square) == RED
+@pytest.mark.parametrize("worse", [{"distance_m": 5.0}, {"distance_m": 3.0, "turned_rad": 1.2}])
+def test_the_nearer_or_squarer_view_gives_the_colour(worse):
+    best, other = looking_along_x(RED, distance_m=3.0), looking_along_x(GREEN, **worse)
+    assert colour_of_origin(best, other) == colour_of_origin(other, best) == RED
 
 
 def test_a_hidden_vertex_takes_no_colour_of_what_hides_it():

@@ -102,6 +102,12 @@ def test_a_rectangle_beside_its_position_is_moved(tmp_path):
 BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
 
 
+def without(name, user=None):
+    data = street()
+    del (data if user is None else data["road_users"][user])[name]
+    return json.dumps(data).encode()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -111,11 +117,17 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
         ("<scene/>", r"expected recorded traffic .*, got another file"),
         (scenario("2020a").replace("timeStepSize", "step"), r"timeStepSize: expected a number, got nothing"),
         (scenario("2020a", dynamic="", static=""), r"road users: expected some, got none"),
+        (b"{", r"line 1: expected valid JSON \(recorded traffic\), got"),
+        (b"\xff\xfe", r"expected recorded traffic, got: not UTF-8 text"),
+        (b"[" * 100_000, r"expected at most 64 levels inside one another, got more"),
+        (b"[]", r"expected an object, got"),
+        (without("road_users"), r"road_users: expected a value, got nothing"),
+        (without("dt_s"), r"dt_s: expected a value, got nothing"),
     ],
 )
-def test_bad_xml_is_refused_in_one_line(tmp_path, text, message):
-    file = tmp_path / "scenario.xml"
-    file.write_text(text)
+def test_bad_files_are_refused_in_one_line(tmp_path, text, message):
+    file = tmp_path / ("scenario.xml" if isinstance(text, str) else "bad.json")
+    file.write_bytes(text.encode() if isinstance(text, str) else text)
     with pytest.raises(InputError, match=message) as error:
         read_recording(file)
     assert str(error.value).startswith(f"{file}: ")
@@ -145,31 +157,6 @@ def test_a_bad_obstacle_costs_itself_alone(tmp_path, text, message):
     assert "building 1" in recording.account
     start = text.index("<staticObstacle")
     file.write_text(text[:start] + text[text.index("</commonRoad>") :])
-    with pytest.raises(InputError, match=message) as error:
-        read_recording(file)
-    assert "\n" not in str(error.value)
-
-
-def without(name, user=None):
-    data = street()
-    del (data if user is None else data["road_users"][user])[name]
-    return json.dumps(data).encode()
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"{", r"line 1: expected valid JSON \(recorded traffic\), got"),
-        (b"\xff\xfe", r"expected recorded traffic, got: not UTF-8 text"),
-        (b"[" * 100_000, r"expected at most 64 levels inside one another, got more"),
-        (b"[]", r"expected an object, got"),
-        (without("road_users"), r"road_users: expected a value, got nothing"),
-        (without("dt_s"), r"dt_s: expected a value, got nothing"),
-    ],
-)
-def test_bad_json_is_refused_in_one_line(tmp_path, content, message):
-    file = tmp_path / "bad.json"
-    file.write_bytes(content)
     with pytest.raises(InputError, match=message) as error:
         read_recording(file)
     assert "\n" not in str(error.value)

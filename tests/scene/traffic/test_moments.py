@@ -41,11 +41,11 @@ def test_moments_of_shipped_recordings_keep_what_they_promise():
 
 def test_search_and_test_share_no_recording():
     traffic = traffic_of(None, None, CAR_M)
-    search, test = ({content_digest(moment.file) for moment in part} for part in (traffic.search, traffic.test))
+    search, test = ({content_digest(moment.file) for moment in part} for part in traffic)
     assert (len(search), len(test)) == (10, 5)
     assert not search & test
     # the test comes later
-    assert max(moment.file.name for moment in traffic.search) < min(moment.file.name for moment in traffic.test)
+    assert max(moment.file.name for moment in traffic[0]) < min(moment.file.name for moment in traffic[1])
 
 
 def overlapping(at_m):

@@ -40,15 +40,6 @@ class TargetBoxes:
     ignored: Tensor  # objects that are neither to be found nor to be taken for background, bool, shape [image, object]
 
 
-@dataclass(frozen=True)
-class _Assignment:
-    """What every cell should answer."""
-
-    object_index: Tensor  # the object it answers for, 0 where none, int64, shape [image, cell]
-    target: Tensor  # the score it should give to that object's label, 0 where none, float32, shape [image, cell]
-    counts: Tensor  # whether its scores count at all: false within ignored objects, bool, shape [image, cell]
-
-
 def pairwise_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
     """IoU of boxes [..., first, 4] and [..., second, 4], shape [..., first, second]."""
     first, second = first_px[..., :, None, :], second_px[..., None, :, :]
@@ -77,8 +68,14 @@ def _area(size: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> _Assignment:
-    """Choose the cells that answer for each object, of logits [image, cell, class] and boxes [image, cell, 4]."""
+def assign_cells(
+    score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What every cell should answer, of logits [image, cell, class] and boxes [image, cell, 4]; each [image, cell].
+
+    The object it answers for, 0 where none; the score it should give to that object's label, 0 where none; whether its
+    scores count at all, which they do not within ignored objects.
+    """
     exists = truth.class_index != _NO_OBJECT
     wanted = exists & ~truth.ignored
     middle_px = 0.5 * (truth.box_px[..., :2] + truth.box_px[..., 2:])
@@ -92,8 +89,7 @@ def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: 
     best = alignment.topk(min(_CELLS_PER_OBJECT, alignment.shape[2]), dim=2)
     chosen = torch.zeros_like(alignment, dtype=torch.bool).scatter_(2, best.indices, best.values > _EPSILON**2)
     # A cell that several objects chose goes to the one that its box fits best.
-    iou_chosen = iou * chosen
-    object_index = iou_chosen.argmax(dim=1)
+    object_index = (iou * chosen).argmax(dim=1)
     owned = torch.zeros_like(chosen).scatter_(1, object_index[:, None], True) & chosen
 
     # Each object's best cell is to score the object's best IoU; the others in proportion to their alignment.
@@ -102,22 +98,22 @@ def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: 
     best_iou = (iou * owned).amax(dim=2, keepdim=True)
     target = (alignment / best_alignment * best_iou).amax(dim=1)
     in_ignored = (inside & (exists & truth.ignored)[..., None]).any(dim=1)
-    return _Assignment(object_index, target, (target > 0.0) | ~in_ignored)
+    return object_index, target, (target > 0.0) | ~in_ignored
 
 
 def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> tuple[Tensor, Tensor]:
-    assignment = assign_cells(score_logit, box_px, center_px, truth)
-    norm = assignment.target.sum().clamp(min=1.0)
+    object_index, wanted, counts = assign_cells(score_logit, box_px, center_px, truth)
+    norm = wanted.sum().clamp(min=1.0)
 
-    label = truth.class_index.clamp(min=0).gather(1, assignment.object_index)
-    target = torch.zeros_like(score_logit).scatter_(2, label[..., None], assignment.target[..., None])
+    label = truth.class_index.clamp(min=0).gather(1, object_index)
+    target = torch.zeros_like(score_logit).scatter_(2, label[..., None], wanted[..., None])
     # Negatives weigh the less, the surer the network is of them; positives weigh as much as they should score.
     weight = torch.where(target > 0.0, target, _NEGATIVE_WEIGHT * score_logit.detach().sigmoid().square())
-    weight = weight * assignment.counts[..., None]
+    weight = weight * counts[..., None]
     score_loss = (functional.binary_cross_entropy_with_logits(score_logit, target, reduction="none") * weight).sum()
 
-    truth_px = truth.box_px.gather(1, assignment.object_index[..., None].expand(-1, -1, 4))
-    box_loss = ((1.0 - _generalised_iou(box_px, truth_px)) * assignment.target).sum()
+    truth_px = truth.box_px.gather(1, object_index[..., None].expand(-1, -1, 4))
+    box_loss = ((1.0 - _generalised_iou(box_px, truth_px)) * wanted).sum()
     return score_loss / norm, _BOX_WEIGHT * box_loss / norm
 
 
@@ -206,5 +202,4 @@ def _move(truth: TargetBoxes, zoom: Tensor, shift_px: Tensor, flipped: Tensor, s
     gone = (cut_size_px < 1.0).any(dim=-1)
     small = (cut_size_px < MIN_SIDE_PX).any(dim=-1)
     mostly_gone = cut_size_px.prod(dim=-1) < _KEPT_FRACTION_MIN * area_px
-    class_index = torch.where(gone, _NO_OBJECT, truth.class_index)
-    return TargetBoxes(cut_px, class_index, truth.ignored | small | mostly_gone)
+    return TargetBoxes(cut_px, torch.where(gone, _NO_OBJECT, truth.class_index), truth.ignored | small | mostly_gone)

@@ -142,8 +142,7 @@ def sweep_table(content: Mapping[str, Any], truth: Truth | None) -> TerminalTabl
 
 
 def _peers() -> dict[str, Any]:
-    text = files("warpav.experiments.bench").joinpath("data", "peers.json").read_text(encoding="utf-8")
-    return json.loads(text)
+    return json.loads(files("warpav.experiments.bench").joinpath("data", "peers.json").read_text(encoding="utf-8"))
 
 
 def _gradient_errors(scores: Mapping[str, Any] | None) -> tuple[str, str]:

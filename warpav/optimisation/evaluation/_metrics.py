@@ -270,8 +270,7 @@ class RigObservation:
     def detected_up_to(self, iou_min: float) -> np.ndarray:
         """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
         up_to = [each.detected_up_to(iou_min) for each in self.observations]
-        best = np.concatenate(up_to).max(axis=0, initial=-np.inf)
-        return self._with_lidars(best, _SURELY)
+        return self._with_lidars(np.concatenate(up_to).max(axis=0, initial=-np.inf), _SURELY)
 
     @property
     def confidence(self) -> np.ndarray:
@@ -310,12 +309,9 @@ class RigObservation:
         ]
 
 
-_FOUND = 0.5
-"""Probability from which on a LiDAR finds an object."""
-_SEEN_POINTS = 1.0
-"""Of a LiDAR that return from an object that it sees."""
-_SURELY = 2.0
-"""Confidence above that of any detection: what a LiDAR finds is found whatever a detector's threshold is."""
+_FOUND = 0.5  # probability from which on a LiDAR finds an object
+_SEEN_POINTS = 1.0  # of a LiDAR that return from an object that it sees
+_SURELY = 2.0  # confidence above that of any detection: what a LiDAR finds is found whatever a detector's threshold is
 
 
 class _Scan(Observation):
@@ -564,7 +560,9 @@ def metrics_of(
         visible_rate=_mean(flags[0]),
         detection_confidence=_mean(np.concatenate(confidence)),
         false_alarms_per_frame=_mean(boxes.false_alarms),
-        objective=_objective_of(losses, weight) if objective.is_by_single_cameras else _mean(np.array(losses)),
+        objective=float(np.average(losses, weights=weight))  # weight: of the objects of every scene together
+        if objective.is_by_single_cameras and len(losses) and weight.any()
+        else _mean(np.array(losses)),
         constraint_violation=objective.constraints.violation_m(rig),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
         body_share=body_share,
@@ -593,11 +591,6 @@ def metrics_of(
         attainable_misses_per_100=attained,
         redundant_rate=redundant(seen_by, scenes).share,
     )
-
-
-def _objective_of(losses: Sequence[float], weight: np.ndarray) -> float | None:
-    """The expected misses of all objects from those of every scene; ``weight``: of its objects together."""
-    return float(np.average(losses, weights=weight)) if len(losses) and weight.any() else _mean(np.array(losses))
 
 
 def _image_boxes(

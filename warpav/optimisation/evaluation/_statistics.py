@@ -216,5 +216,4 @@ def _p_value(interval_at: Callable[[float], tuple[float, float]], least: float) 
     return leaves_out
 
 
-_NOISE = 1e-12
-"""Of the greatest number: a difference up to which is rounding."""
+_NOISE = 1e-12  # of the greatest number: a difference up to which is rounding

@@ -15,8 +15,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from warpav.core.errors import ArgumentError, InputError
 
-_ROW_TOLERANCE = 1e-6
-"""How far a row may be missed, per unit of its largest coefficient: what HiGHS allows itself."""
+_ROW_TOLERANCE = 1e-6  # how far a row may be missed, per unit of its largest coefficient: what HiGHS allows itself
 
 
 @dataclass(frozen=True, eq=False)

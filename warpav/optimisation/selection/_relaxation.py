@@ -46,8 +46,7 @@ if TYPE_CHECKING:
     import highspy
 
 
-_MOST_LEVEL = 30.0
-"""Greatest level [log of a miss probability]: such a cut asks for no more than 3e-12."""
+_MOST_LEVEL = 30.0  # greatest level [log of a miss probability]: such a cut asks for no more than 3e-12
 
 
 def _cut_constant(level: np.ndarray) -> np.ndarray:
@@ -129,12 +128,9 @@ class Price:
         return 1.0 - probability[:, self.cut_object]
 
 
-ROUNDING = 1e-11
-"""What bounds are lowered by: more than some thousand sums of numbers up to 1 lose in double precision."""
-_NEAR = 0.15
-"""Part of what a node's bound lacks to the best rig that further rounds are not worth."""
-_MOST_NEW_CAMERAS = 60
-"""Cameras that enter the model in a round, those of the lowest reduced cost."""
+ROUNDING = 1e-11  # what bounds are lowered by: more than some thousand sums of numbers up to 1 lose in double precision
+_NEAR = 0.15  # part of what a node's bound lacks to the best rig that further rounds are not worth
+_MOST_NEW_CAMERAS = 60  # cameras that enter the model in a round, those of the lowest reduced cost
 _SOLVER_OPTIONS = {
     "threads": 1,
     "presolve": "off",
@@ -152,12 +148,9 @@ _TROUBLED_OPTIONS = {
     "dual_feasibility_tolerance": 1e-7,
 }
 """Of HiGHS, where these fail: bounds do not rest on its tolerances."""
-_LEAST_VIOLATION = 1e-8
-"""By how much a cut must be violated to be added: more than the solver allows itself."""
-_MOST_IDLE_ROUNDS = 8
-"""Rounds after which a cut without a dual leaves the model."""
-_STRONG_ITERATIONS = 60
-"""Simplex iterations that a trial of a branch may take."""
+_LEAST_VIOLATION = 1e-8  # by how much a cut must be violated to be added: more than the solver allows itself
+_MOST_IDLE_ROUNDS = 8  # rounds after which a cut without a dual leaves the model
+_STRONG_ITERATIONS = 60  # simplex iterations that a trial of a branch may take
 
 
 @dataclass(frozen=True, eq=False)
@@ -474,8 +467,7 @@ class Relaxation:
         self._set_links(node)
 
     def _set_branches(self, branch: Mapping[int, tuple[float, float]]) -> None:
-        missing = [k for k in branch if k not in self._row_index]
-        self._place_rows(missing)
+        self._place_rows([k for k in branch if k not in self._row_index])
         for k in self._in_force | set(branch):
             place = np.flatnonzero(self._row_index == k)
             if len(place):

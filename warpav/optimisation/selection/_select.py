@@ -18,11 +18,9 @@ from warpav.core.errors import ArgumentError
 from warpav.optimisation.selection._problem import SelectionProblem, exchange, feasible_rig, raise_conflict, random_rig
 from warpav.optimisation.selection._relaxation import Node, Price, Relaxation, Relaxed
 
-TOLERANCE = 1e-9
-"""Expected miss rates that differ by less count as equal."""
+TOLERANCE = 1e-9  # expected miss rates that differ by less count as equal
 
-_TRIALS = 8
-"""Groups that are tried before one is branched on."""
+_TRIALS = 8  # groups that are tried before one is branched on
 _LEAST_FRACTION = 0.02
 """How far the cameras that the relaxation takes from a group must be from a whole number, for it to be tried."""
 _ROUNDED_RIGS, _ROUNDING_EVERY = 16, 8
@@ -227,8 +225,7 @@ def _without_useless(node: Node, relaxed: Relaxed, objective: float) -> tuple[No
     return Node(allowed, required, node.branch, relaxed.bound), allowed
 
 
-Ended = Literal["optimal", "gap", "time", "interrupted", "exchange"]
-"""Why a selection ended, see `Selection`."""
+Ended = Literal["optimal", "gap", "time", "interrupted", "exchange"]  # why a selection ended, see `Selection`
 
 
 @dataclass(frozen=True, eq=False)

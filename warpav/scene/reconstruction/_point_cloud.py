@@ -71,10 +71,9 @@ def fuse(
     boxes = [capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)]
     ids = [EGO_INSTANCE, *(vehicle.instance_id for vehicle in capture.vehicles)]
     with ThreadPoolExecutor(thread_count) as pool:
-        shares = list(pool.map(lambda image: _image_share(image, ids, boxes, settings), images))
-    around = [share.around for share in shares]
-    parts = [[share.parts[k] for share in shares] for k in range(len(ids))]
-    rays = [[share.rays[k] for share in shares] for k in range(len(ids))]
+        shares = pool.map(lambda image: _image_share(image, ids, boxes, settings), images)
+        around, *of_images = zip(*shares, strict=True)
+    parts, rays = (list(zip(*each, strict=True)) for each in of_images)
     environment = joined(around)
     environment = environment.chosen(first_in_cells(environment.point_m, settings.environment_grid_m))
     near, sphere = split_at_radius(environment, settings.radius_m)
@@ -84,18 +83,10 @@ def fuse(
     return _SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
 
 
-@dataclass(frozen=True, eq=False)
-class _ImageShare:
-    """Points of the environment and of each vehicle in one image, and rays through window panes."""
-
-    around: PointCloud
-    parts: list[PointCloud]
-    rays: list[tuple[np.ndarray, np.ndarray]]
-
-
 def _image_share(
     image: CapturedImage, ids: Sequence[int], boxes: Sequence[Box], settings: CloudSettings
-) -> _ImageShare:
+) -> tuple[PointCloud, list[PointCloud], list[tuple[np.ndarray, np.ndarray]]]:
+    """Points of the environment and of each vehicle in one image, and rays through window panes."""
     cloud, instance, row, column = unproject(image, far_depth_m=settings.far_depth_m)
     parts, rays = [], []
     is_around = np.ones(len(cloud), bool)
@@ -114,7 +105,7 @@ def _image_share(
     around = around[first_in_cells(cloud.point_m[around], settings.environment_grid_m)]
     for box in boxes:
         around = around[~box.contains(cloud.point_m[around], margin_m=-settings.box_margin_m)]
-    return _ImageShare(cloud.chosen(around), parts, rays)
+    return cloud.chosen(around), parts, rays
 
 
 def split_at_radius(cloud: PointCloud, radius_m: float) -> tuple[PointCloud, PointCloud]:
@@ -228,16 +219,14 @@ def seen_rgb(
         to_camera = pose[:3, 3] - vertex_m
         distance_m = np.linalg.norm(to_camera, axis=1)
         cosine = np.einsum("ij,ij->i", to_camera, normal) / np.maximum(distance_m, 1e-9)
-        focal_px = model.intrinsics[0, 0]
-        weight = cosine * (focal_px / np.maximum(distance_m, 1e-9)) ** 2
+        weight = cosine * (model.intrinsics[0, 0] / np.maximum(distance_m, 1e-9)) ** 2
         asked = np.flatnonzero((depth_m > model.near_m) & (cosine > _MIN_COSINE) & (weight > best))
         place = local[asked, :2] / depth_m[asked, None] * model.intrinsics[[0, 1], [0, 1]] + model.intrinsics[:2, 2]
         column, row = np.floor(place).astype(np.int64).T
         inside = (column >= 0) & (column < model.width_px) & (row >= 0) & (row < model.height_px)
         asked, row, column = asked[inside], row[inside], column[inside]
         beyond_m = image.depth_m[row, column] - depth_m[asked]
-        allowed_m = tolerance_m + _FAR_TOLERANCE * depth_m[asked]
-        shown = np.abs(beyond_m) <= allowed_m
+        shown = np.abs(beyond_m) <= tolerance_m + _FAR_TOLERANCE * depth_m[asked]
         if instance_id != ENVIRONMENT_INSTANCE:
             shown |= beyond_m > 0.0
         shown &= mask[row, column] > 0

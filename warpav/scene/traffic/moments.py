@@ -38,25 +38,15 @@ class Moment:
     ego_id: str  # the road user whose place the ego vehicle takes
 
 
-@dataclass(frozen=True)
-class _Traffic:
-    """Recordings for the search, and others for the test."""
-
-    # Moments that training and validation scenes come from, in the order in which seeds take them.
-    search: tuple[Moment, ...]
-    test: tuple[Moment, ...]  # moments of the test scenes, likewise
-
-
 def traffic_of(
     recordings: Sequence[Path] | None,
     test_recordings: Sequence[Path] | None,
     ego_bounds_m: np.ndarray,
     *,
     say: Callable[[str], None] | None = None,
-) -> _Traffic:
-    """The moments of recordings; ``ego_bounds_m`` [2, 3]; ``say`` as of `moments_of`."""
-    parts = search_and_test(recordings, test_recordings)
-    return _Traffic(*(moments_of(part, ego_bounds_m, say=say) for part in parts))
+) -> list[tuple[Moment, ...]]:
+    """Moments of search and test, as seeds take them; ``ego_bounds_m`` [2, 3], ``say`` as of `moments_of`."""
+    return [moments_of(part, ego_bounds_m, say=say) for part in search_and_test(recordings, test_recordings)]
 
 
 def search_and_test(

@@ -20,8 +20,7 @@ from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, rec
 
 _ANNOTATIONS, _POSES = "annotations.feather", "city_SE3_egovehicle.feather"
 _EGO = "ego"
-EGO_SIZE_M = (4.87, 1.85, 1.48)
-"""Length, width and height of the Ford Fusion that carries the sensors [m]."""
+EGO_SIZE_M = (4.87, 1.85, 1.48)  # length, width and height of the Ford Fusion that carries the sensors [m]
 EGO_CENTRE_M = 1.42
 """How far its centre lies ahead of the origin of its frame, which is the middle of its rear axle [m]."""
 

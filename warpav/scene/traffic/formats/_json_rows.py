@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, parse_json, refuse_nodes
 from warpav.core.errors import InputError
 
-TABLE_BYTES_MAX = 2_000_000_000
-"""Bytes of a table; there may be `DATA_SET_NODES_MAX` rows."""
+TABLE_BYTES_MAX = 2_000_000_000  # bytes of a table; there may be `DATA_SET_NODES_MAX` rows
 _BLOCK_BYTES = 4_000_000
 _T = TypeVar("_T")
 
