@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
+from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from warpav.core.cores import available_cores
 
 wp.config.log_level = 30
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 MOST_WORKERS, MOST_WORKERS_ON_A_GPU = 8, 4
 
 

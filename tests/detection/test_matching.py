@@ -54,7 +54,6 @@ def test_covered_fraction_of_known_boxes():
     np.testing.assert_allclose(covered_fraction([[0, 0, 10, 10]], [[5, 0, 50, 50], [20, 20, 30, 30]]), [[0.5, 0.0]])
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 0.9))
 def test_matching_matches_its_twin(seed, iou_min):
     rng = np.random.default_rng(seed)

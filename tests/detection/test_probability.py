@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
@@ -113,7 +113,6 @@ def arrays_of(in_frame, whole, elevation, upright, contrast, device, **gradients
     st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=20),
     st.integers(0, 1000),
 )
-@settings(deadline=None)
 def test_curves_are_scipys_natural_splines(count, start, step, values, seed):
     coefficient = np.random.default_rng(seed).normal(size=count)
     ours = spline_basis(np.array(values), start, step, count) @ coefficient

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expit
 from scipy.stats import binomtest
@@ -75,7 +75,6 @@ def test_too_little_to_fit_is_refused(rng, count, chance, message):
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=15, max_size=80))
-@settings(deadline=None)
 def test_scores_are_what_they_are_called(pairs):
     probability, is_detected = np.array([p for p, _ in pairs]), np.array([d for _, d in pairs])
     if is_detected.all() or not is_detected.any():

@@ -35,7 +35,7 @@ def rig_at(place, surface):
 
 
 @pytest.mark.parametrize("surface", [SURFACE, roof()], ids=["flat", "curved"])
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(place=places)
 def test_projection_ends_feasible(surface, place):
     projected = BoundsAndSpacing(surface, min_spacing_m=0.3).project(place)
@@ -122,7 +122,7 @@ ZONES = {"rectangle": lambda: SURFACE, "two parts": zone_surface, "town": town_s
 
 
 @pytest.mark.parametrize("surface_of", ZONES.values(), ids=ZONES)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25, derandomize=True)
 @given(place=places)
 def test_projection_to_the_zone_ends_feasible_and_stays(surface_of, place):
     surface = surface_of()
@@ -222,7 +222,7 @@ def test_inequalities_match_oracle_and_differences(device, rng, surface):
 
 
 @pytest.mark.parametrize("kind", [BoundsAndSpacing, functools.partial(ZoneAndSpacing, camera_count=3, margin_m=0.05)])
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(place=st.lists(st.tuples(coordinate, coordinate), min_size=3, max_size=3))
 def test_margins_are_the_single_constraints(kind, place):
     constraints = kind(SURFACE, min_spacing_m=0.3)

@@ -149,7 +149,7 @@ def test_the_gradient_to_the_zoom_of_a_fisheye_goes_on_through_its_window():
     st.floats(1e-3, 3.0),
     st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_no_step_leaves_the_bounds(slope, rate, first):
     objective = Slope()
     objective.mount = mount_of()
@@ -187,7 +187,7 @@ def test_no_step_leaves_the_bounds(slope, rate, first):
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_searches_try_all_that_is_free_and_nothing_else(seed):
     mount, rng = mount_of(), np.random.default_rng(seed)
     space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))

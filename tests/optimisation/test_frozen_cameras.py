@@ -124,7 +124,7 @@ def test_the_place_of_what_is_held_breaks_nothing_but_others_keep_away_from_it()
     assert constraints.violation_m(Rig((*pair, BUMPER, outside))) > 1.0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.floats(-3.0, 5.0), min_size=8, max_size=8), st.integers(0, 15))
 def test_projections_go_around_what_is_held(numbers, which):
     rig = (MAST, ROOF, camera("other", [0.62, 0.5, 1.77]), BUMPER)

@@ -21,7 +21,7 @@ def cameras_at(position_m, gain):
     )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 6), st.integers(1, 30))
 def test_the_gain_is_what_the_objective_falls_by(seed, rig_count, count, object_count):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.optimisation.calls import select
@@ -26,7 +26,6 @@ def ghosts_of(cameras, weights, requirement):
     return Ghosts(wanted, np.c_[np.arange(count, dtype=float), np.zeros(count)], np.array(requirement))
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_a_rig_satisfies_the_rows_where_it_meets_every_hard_point(data):
     count = data.draw(st.integers(1, 6))

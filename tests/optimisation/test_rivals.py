@@ -182,7 +182,7 @@ def test_cma_starts_again_with_twice_as_many():
 wild = st.lists(st.floats(-1e3, 1e3, allow_nan=False), min_size=9, max_size=9).map(np.array)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(unit=wild)
 def test_every_point_becomes_a_feasible_rig(unit):
     space = space_of(3)

@@ -95,7 +95,7 @@ brown = st.tuples(coefficient, coefficient, small, small, st.floats(-0.1, 0.1))
 kannala = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.05, 0.05), st.floats(-0.02, 0.02), st.floats(-0.005, 0.005))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.one_of(
         st.tuples(st.just("brown_conrady"), brown),

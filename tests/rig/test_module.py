@@ -72,7 +72,7 @@ def place_in_sensor(given, place_px):
     return place_px + (sensor - network) // 2
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     lens=st.sampled_from(list(Lens)),
     fitting=st.sampled_from(list(Fitting)),

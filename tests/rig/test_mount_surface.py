@@ -80,7 +80,7 @@ def test_lower_points_are_left_out_on_request():
     np.testing.assert_allclose(surface.bounds_m, [[-1.49, -0.59], [0.49, 0.59]], atol=0.021)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(0, 2))
 def test_surface_moves_with_the_mesh(x, y, z):
     mesh, shift = dome(count=12), np.array([x, y, z])
@@ -138,7 +138,7 @@ def distance_to_edges(is_inside):
     return np.where(is_inside, distance, -distance)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1.0))
 def test_border_runs_along_the_edges_of_the_cells(seed, share):
     rng = np.random.default_rng(seed)

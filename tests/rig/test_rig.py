@@ -74,7 +74,7 @@ def test_written_rig_follows_the_contract(tmp_path):
     assert "-0.0" not in (tmp_path / "rig.yaml").read_text()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(
         st.tuples(

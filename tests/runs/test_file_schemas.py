@@ -174,7 +174,7 @@ def test_readers_and_schemas_know_the_same_keys(of, tmp_path):
 
 
 @pytest.mark.parametrize("of", EVERY_KEY)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(draw=st.data())
 def test_a_changed_key_is_refused_by_both(of, draw, tmp_path_factory):
     data = copy.deepcopy(read_yaml(EVERY_KEY[of])[0])

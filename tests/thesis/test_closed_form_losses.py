@@ -213,7 +213,7 @@ def angular_coverage(yaw_rad, device, fov_rad=0.5 * math.pi):
 
 @pytest.mark.equation(20, 21, 22, 23)
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_angular_coverage_matches_the_text_step_by_step(data):
     count = data.draw(st.integers(1, 7))
     fov_rad = math.radians(data.draw(st.sampled_from([45.0, 60.0, 90.0, 120.0])))

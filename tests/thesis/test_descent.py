@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
@@ -281,7 +281,6 @@ def test_cameras_of_several_descents_are_mixed_in_the_end():
     assert descent.finish() is result  # nothing is evaluated twice
 
 
-@settings(deadline=None)
 @given(
     st.integers(1, 5),
     st.integers(1, 40),

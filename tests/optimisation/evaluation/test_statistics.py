@@ -24,7 +24,7 @@ from warpav.optimisation import (
 recalls = st.integers(2, 12).flatmap(
     lambda count: st.tuples(*[arrays(np.float64, count, elements=st.integers(0, 8).map(lambda n: n / 8))] * 2)
 )
-quick = settings(max_examples=25, deadline=None)
+quick = settings(max_examples=25)
 
 
 def test_the_interval_is_that_of_scipy(rng):

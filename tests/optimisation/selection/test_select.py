@@ -50,14 +50,14 @@ def choices(draw):
     return probability, count, weight, constraints
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(choices())
 def test_equal_to_brute_force(choice):
     assert_best(*choice)
 
 
 @pytest.mark.nightly
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=1000)
 @given(choices())
 def test_equal_to_brute_force_a_thousand_times(choice):
     assert_best(*choice)
@@ -79,7 +79,7 @@ def assert_best(probability, count, weight, constraints):
     assert found.gap <= 1e-9
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(choices(), st.sampled_from([0.003, 0.03, 0.3]))
 def test_bounds_are_never_above_the_best_rig(choice, gap):
     probability, count, weight, constraints = choice

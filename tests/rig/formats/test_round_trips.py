@@ -115,7 +115,7 @@ def models_for(name):
 
 
 @pytest.mark.parametrize("name", BOTH_WAYS)
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_rig_survives_every_format(tmp_path_factory, name, data):
     rig = data.draw(rigs(models_for(name)))
@@ -173,7 +173,6 @@ def test_what_is_left_out_is_said(tmp_path):
             export_rig_with_notes(fisheye, name, tmp_path / "b", approximate=True)
 
 
-@settings(deadline=None)
 @given(st.tuples(*(st.floats(-1.0, 1.0),) * 4).filter(lambda q: np.linalg.norm(q) > 1e-3))
 def test_quaternions_and_rotations_are_scipys(quaternion):
     w, x, y, z = quaternion
@@ -193,7 +192,7 @@ def rig_of_lidar(model, module=None):
 
 
 @pytest.mark.parametrize("name", ["urdf", *CENTRED])
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     lines=st.integers(2, 128),
     low_deg=st.floats(-60.0, 0.0),

@@ -34,7 +34,7 @@ def image_px(view, point_m):
 places = st.tuples(st.floats(4.0, 30.0), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(places, min_size=1, max_size=5))
 def test_every_vehicle_fits_into_its_two_images(polar):
     vehicles = [

@@ -39,7 +39,7 @@ def grey(x, y):
 # thin_out
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     point_count=st.integers(1, 1500),
     share=st.floats(0.001, 1.2),

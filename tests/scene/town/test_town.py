@@ -114,7 +114,7 @@ EASY_NUMBERS = (
     *(1.681077, -0.726125, 1.378383, 93.373594, 91.018149, 90.717328, 2.016680, -0.187243, 0.864850),
     *(3.504447, 1.646533, 1.738333, -0.021364, -7.940081, -0.025730, 179.388480),
 )
-GENTLE = settings(max_examples=3, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+GENTLE = settings(max_examples=3, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 
 
 def digest_of(scene):
