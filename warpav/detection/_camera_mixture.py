@@ -113,7 +113,8 @@ def _any_place(
     pitch_rad = 0.0 if rng.random() < _LEVEL_SHARE else math.radians(rng.uniform(*_PITCH_DEG))
     if rng.random() < _ROOF_SHARE:
         position_m = rng.uniform(*surface.bounds_m)
-        z_m = float(surface.height_at_m(position_m[None])[0]) + math.exp(rng.uniform(*np.log(_ROOF_OFFSET_M)))
+        offset_m = math.exp(rng.uniform(*np.log(_ROOF_OFFSET_M)))
+        z_m = float(surface.height_at_m(position_m[None])[0]) + offset_m
         return RigCamera(name, np.array([*position_m, z_m]), rng.uniform(-math.pi, math.pi), pitch_rad, 0.0, model)
     low_m, high_m = ego_bounds_m[:, :2].astype(np.float64)
     side = int(rng.integers(4))  # front, left, rear, right

@@ -282,7 +282,8 @@ class LidarProbability:
 
 def away_from(scene: DeviceScene, position_ego_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances of the objects' boxes from places [m], [place, object], and their slopes to the places [..., 3]."""
-    away_m = position_ego_m[:, None].astype(np.float64) - scene.upright_box.centre_ego_m.numpy()[: scene.vehicle_count]
+    centre_m = scene.upright_box.centre_ego_m.numpy()[: scene.vehicle_count]
+    away_m = position_ego_m[:, None].astype(np.float64) - centre_m
     distance_m = np.maximum(np.linalg.norm(away_m, axis=2), 1e-6)
     return distance_m, away_m / distance_m[..., None]
 

@@ -92,7 +92,8 @@ def random_cameras(
     position_m = rng.uniform(*surface.bounds_m, size=(count, 2))
     yaw_rad = rng.uniform(-math.pi, math.pi, count)
     pitches_rad = np.zeros(count) if pitch_rad is None else rng.uniform(*pitch_rad, count)
-    z_m = surface.height_at_m(position_m) + (height_offset_m if height_m is None else rng.uniform(*height_m, count))
+    offset_m = height_offset_m if height_m is None else rng.uniform(*height_m, count)
+    z_m = surface.height_at_m(position_m) + offset_m
     models = [model] * count
     if fov_rad is not None:
         low, high = (dataclasses.replace(model, fov_rad=angle).log_zoom_over(model) for angle in fov_rad[::-1])

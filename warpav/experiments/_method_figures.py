@@ -63,7 +63,8 @@ def draw_method_figure(
             ego = scenes[0].ego
             rig = find_rig("highest", config, ego)
             surface = camera_mount(config, ego).surface
-            return highest_rig(rig, _observer(config, progress)(rig, scenes, "test scenes"), path, surface=surface)
+            views = _observer(config, progress)(rig, scenes, "test scenes")
+            return highest_rig(rig, views, path, surface=surface)
     raise InputError(f"figure: expected one of {', '.join(map(str, RIG_NUMBERS))}, got {number}")
 
 

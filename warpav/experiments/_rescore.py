@@ -127,7 +127,8 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     tasks = []
     for run in (run for runs in before.values() for run in runs):
         made_with = digest(_SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-        tasks.append(_RescoreTask(f"{run['arm']}_{run['seed']}", config, folder.absolute(), out, made_with))
+        named = f"{run['arm']}_{run['seed']}"
+        tasks.append(_RescoreTask(named, config, folder.absolute(), out, made_with))
     return _Rescoring(described, before, judge or name, config, out, tasks)
 
 
@@ -195,7 +196,8 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     """Evaluate a rig, write the new result and return it."""
     began = time.perf_counter()
     config = task.config
-    placement = placement_on(traffic_of_process(config, NullProgress()), config, load_networks(config), None)
+    traffic = traffic_of_process(config, NullProgress())
+    placement = placement_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
     old = read_json(task.source / RESULTS / f"{task.name}.json")

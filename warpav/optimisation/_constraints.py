@@ -243,7 +243,8 @@ class Constraints(ABC):
         """Which cameras stand exactly where some are frozen, bool [camera]; position_m [camera, 3]."""
         if self.frozen is None:
             return np.zeros(len(position_m), bool)
-        return (np.linalg.norm(position_m[:, None] - self.frozen.position_m, axis=-1) <= _ROUNDING_M).any(axis=1)
+        offset_m = position_m[:, None] - self.frozen.position_m
+        return (np.linalg.norm(offset_m, axis=-1) <= _ROUNDING_M).any(axis=1)
 
     @abstractmethod
     def _border_distance_m(self, place: np.ndarray) -> np.ndarray:

@@ -70,7 +70,8 @@ class FurtherCameras:
             np.degrees(self.pitch_rad),
             np.degrees(self.fov_rad),
         )
-        return [dict(zip(_COLUMNS, map(float, row), strict=True)) for row in np.stack(columns, axis=1)[:count]]
+        table = np.stack(columns, axis=1)[:count]
+        return [dict(zip(_COLUMNS, map(float, row), strict=True)) for row in table]
 
     def __repr__(self) -> str:
         best = f", the best finds {100.0 * self.gain[0]:.2f} more of 100 objects" if len(self) else ""

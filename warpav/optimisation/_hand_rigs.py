@@ -189,7 +189,8 @@ def _placed(mount: CameraMount, constraints: Constraints, pose: np.ndarray) -> n
 def _ground_pitch_deg(mount: CameraMount, constraints: Constraints) -> int:
     """The pitch from which the ground is seen from `_GROUND_FROM_M` off the body, as far as cameras may [deg]."""
     height_m = float(constraints.surface.highest_point_m()[2]) + mount.height_offset_m
-    return round(math.degrees(max(math.atan2(height_m, _GROUND_FROM_M) - mount.camera.half_field[1], 0.0)))
+    half_rad = mount.camera.half_field[1]
+    return round(math.degrees(max(math.atan2(height_m, _GROUND_FROM_M) - half_rad, 0.0)))
 
 
 def mount_pose_by_hand(

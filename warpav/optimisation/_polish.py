@@ -150,7 +150,8 @@ def polish(
 
 def _radii(first: float, count: int) -> np.ndarray:
     """A cosine from the first radius to the last."""
-    return _RADIUS_LAST + (first - _RADIUS_LAST) * (0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1))))
+    share = 0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1)))
+    return _RADIUS_LAST + (first - _RADIUS_LAST) * share
 
 
 def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:

@@ -365,7 +365,8 @@ class _Source:
             yield self.cameras, lambda number: self.scenes[number]
             return
         # a process and a worker of Ray have one core each
-        cameras = replace(self.cameras, thread_count=1) if self.executor.name in ("process", "ray") else self.cameras
+        is_alone = self.executor.name in ("process", "ray")
+        cameras = replace(self.cameras, thread_count=1) if is_alone else self.cameras
         in_files = {number for number in numbers if isinstance(self.scenes[number], DeviceScene)}
         # the cache is seen by all machines
         beside = None if self.executor.name == "process" else self.drawing.cache

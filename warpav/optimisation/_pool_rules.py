@@ -221,7 +221,8 @@ class PoolRules:
         """All cameras of some rows, those of pairs twice: their row, pose in the ego frame, model and box."""
         rows, views, models, corners = [], [], [], []
         for side, row in self._sides(pose):
-            in_ego, model = self.cameras.sides[side].in_ego(pose[row] if side == 0 else pose[row] * MIRROR)
+            own = pose[row] if side == 0 else pose[row] * MIRROR
+            in_ego, model = self.cameras.sides[side].in_ego(own)
             module = self.cameras.mount.module_of(pose[row])
             rows += row.tolist()
             views.append(in_ego)

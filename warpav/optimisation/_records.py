@@ -61,7 +61,8 @@ def rig_fields(mount: CameraMount, mount_pose: np.ndarray) -> dict[str, Any]:
     if mount.is_free[PITCH_RAD]:
         free["pitch_deg"] = np.degrees(mount_pose[row, PITCH_RAD]).tolist()
     if mount.is_free[HEIGHT_DELTA_M]:
-        free["height_m"] = (mount_pose[row, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m).tolist()
+        height_m = mount_pose[row, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m
+        free["height_m"] = height_m.tolist()
     if mount.is_free[LOG_ZOOM]:
         free["fov_deg"] = [math.degrees(camera.model.fov_rad) for camera in rig.cameras]
     return {

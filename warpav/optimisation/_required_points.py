@@ -204,7 +204,8 @@ class RequiredPoints:
             which = np.flatnonzero((is_steep | is_near).any(axis=0))
             found = None
             if len(which):
-                world = GhostWorld(self.ghosts.at(which), self.ego, device=self.device, renderers=self._renderers)
+                ghosts = self.ghosts.at(which)
+                world = GhostWorld(ghosts, self.ego, device=self.device, renderers=self._renderers)
                 found = world.jacobians(ego_from_camera, models)
             while len(self._seen) >= _SEEN_KEPT:
                 del self._seen[next(iter(self._seen))]
@@ -233,7 +234,8 @@ class RequiredPoints:
 
     def is_kept(self, probability: np.ndarray) -> bool:
         """Whether a rig whose cameras see the points so surely, [camera, point], meets all hard requirements."""
-        return bool((self.meets(probability).sum(axis=0) >= self.ghosts.of_each("cameras"))[self.is_hard].all())
+        found = self.meets(probability).sum(axis=0)
+        return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
 
     def rows(self, probability: np.ndarray) -> tuple[list[Row], np.ndarray]:
         """`_requirement_rows` of cameras that see the points so surely, [camera, point]."""

@@ -142,7 +142,8 @@ class RigLimits:
     @property
     def absent(self) -> int:
         """How many of as many columns as a rig has cameras at most may not be there."""
-        return self.count[1] - -(-self.count[0] // int(self._sizes.max()))
+        largest = int(self._sizes.max())
+        return self.count[1] - -(-self.count[0] // largest)
 
     @property
     def _sizes(self) -> np.ndarray:

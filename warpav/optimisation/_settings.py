@@ -571,4 +571,5 @@ class OptimiserSettings(Section):
 
     def damping(self, *, are_inequalities: bool) -> float:
         """Damping of the multipliers; where none is given, the one of inequalities or of the thesis's penalties."""
-        return (10.0 if are_inequalities else 0.0) if self.multiplier_damping is None else self.multiplier_damping
+        usual = 10.0 if are_inequalities else 0.0
+        return usual if self.multiplier_damping is None else self.multiplier_damping

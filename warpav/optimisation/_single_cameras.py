@@ -343,7 +343,8 @@ class SingleCameras:
         views = sum(each.view_count for each in self._renderers.used)
         if self._is_cuda or not views:
             return 0
-        together = min(count, self.scenes_at_once * max(map(self._most_views, range(len(self.mount.cameras)))))
+        most = max(map(self._most_views, range(len(self.mount.cameras))))
+        together = min(count, self.scenes_at_once * most)
         each = self._renderers.held_bytes / views
         return int(max(min(each * min(count, together * len(self.mount.cameras)), KEPT_BYTES), each * together))
 
@@ -378,7 +379,8 @@ class _RendererMaker:
 
     def kept(self, renderers: KeptRenderers, view_count: int) -> Sequence[Renderer]:
         """One for each thread, of a GPU one, that others asked for before."""
-        count = 1 if wp.get_device(self.device).is_cuda else self.thread_count or available_cores()
+        is_cuda = wp.get_device(self.device).is_cuda
+        count = 1 if is_cuda else self.thread_count or available_cores()
         return renderers.of((self, view_count), lambda: self.new(view_count, count))
 
 

@@ -152,7 +152,8 @@ class CameraModel:
 
     def _radius_at(self, angle_rad: float) -> float:
         """Radius of the image at an angle from the optical axis [focal lengths]."""
-        return float(self.shape.radius(np.array(angle_rad if self.shape.has_unit_rays else math.tan(angle_rad)))[0])
+        half = angle_rad if self.shape.has_unit_rays else math.tan(angle_rad)
+        return float(self.shape.radius(np.array(half))[0])
 
     @property
     def _middle_px(self) -> tuple[float, float]:

@@ -324,7 +324,8 @@ def image_table(shape: LensShape, reach_rad: float) -> np.ndarray:
         place = [
             _place_beyond(shape, reach_rad, math.cos(s) * direction + math.sin(s) * ahead.T) for s in (-step, 0.0, step)
         ]
-        curvature = np.maximum(curvature, np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2)
+        second = np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2
+        curvature = np.maximum(curvature, second)
     reach = math.ceil(_NEARBY_RAD / (at[1] - at[0]))
     padded = np.pad(curvature, reach, mode="edge")
     greatest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)

@@ -87,7 +87,8 @@ class Pane:
         corner_m = corner_m[near]
         normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
         along = np.abs(normal @ self._axes[2]) >= _MIN_FACING * np.linalg.norm(normal, axis=1)
-        clear[near] = along & (self.holds(np.einsum("sk,tki->tsi", _middles(), corner_m)).mean(axis=1) >= 0.5)
+        inside = self.holds(np.einsum("sk,tki->tsi", _middles(), corner_m))
+        clear[near] = along & (inside.mean(axis=1) >= 0.5)
         return clear
 
     def opened(self, mesh: Mesh) -> Mesh:
@@ -117,7 +118,8 @@ class Pane:
 def _middles() -> np.ndarray:
     """Shares of the corners in the middles of the equal parts that a triangle is cut into, float64 [part, 3]."""
     i, j = np.divmod(np.arange(_STEPS**2), _STEPS)
-    share = np.concatenate([np.stack([i, j], axis=1) + at for at in (1 / 3, 2 / 3)]) / _STEPS
+    both = [np.stack([i, j], axis=1) + at for at in (1 / 3, 2 / 3)]
+    share = np.concatenate(both) / _STEPS
     share = share[share.sum(axis=1) < 1.0]
     return np.c_[1.0 - share.sum(axis=1), share]
 

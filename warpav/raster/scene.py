@@ -239,7 +239,8 @@ class Scene:
         count = np.diff(np.append(first, len(triangle)))
         corner_m = whole.vertex_m[triangle].reshape(-1, 3)
         low = np.minimum.reduceat(corner_m, 3 * first, axis=0)
-        centre = 0.5 * (low + np.maximum.reduceat(corner_m, 3 * first, axis=0))
+        high = np.maximum.reduceat(corner_m, 3 * first, axis=0)
+        centre = 0.5 * (low + high)
         reach = np.linalg.norm(corner_m - np.repeat(centre, 3 * count, axis=0), axis=1)
         radius = np.maximum.reduceat(reach, 3 * first) * (1.0 + 1e-5)
 

@@ -73,7 +73,8 @@ class Fleet:
             if not is_drawn or not fitting:
                 return own
             body = fitting[int(rng.integers(len(fitting)))]
-            return body.mesh(size_m, drawn_paint(category, rng), coarse=len(own.triangle) < _COARSE_BELOW)
+            paint = drawn_paint(category, rng)
+            return body.mesh(size_m, paint, coarse=len(own.triangle) < _COARSE_BELOW)
 
         return exchanged
 
@@ -126,7 +127,8 @@ class _Body:
         vertex_m[:, 0] = stretched(look.vertex_m[:, 0], self.wheel_m, float(size_m[0]), float(factor[2]))
         is_paint = look.paint[:, None] > 0.0
         albedo = np.where(is_paint, np.minimum(paint * look.paint[:, None], 1.0), look.albedo)
-        return Mesh(vertex_m.astype(np.float32), look.triangle, lit_rgb(look.normal, look.sky, albedo, look.mirror))
+        rgb = lit_rgb(look.normal, look.sky, albedo, look.mirror)
+        return Mesh(vertex_m.astype(np.float32), look.triangle, rgb)
 
 
 def _bodies(paths: tuple[Path | str, ...]) -> tuple[_Body, ...]:

@@ -236,7 +236,8 @@ def _read_mesh(file: trimesh.Scene, name: str, where: str) -> Mesh:
     ego_from_node = np.linalg.inv(GLTF_FROM_EGO) @ np.asarray(matrix, np.float64)
     if not np.allclose(ego_from_node, np.eye(4), atol=1e-9):
         vertex = vertex @ ego_from_node[:3, :3].T + ego_from_node[:3, 3]
-    return Mesh.create(vertex, geometry.faces, np.asarray(geometry.visual.vertex_colors, np.uint8)[:, :3], name=where)
+    colour = np.asarray(geometry.visual.vertex_colors, np.uint8)[:, :3]
+    return Mesh.create(vertex, geometry.faces, colour, name=where)
 
 
 class _Extras(Record):

@@ -317,7 +317,8 @@ class _Reader:
                 continue
             used, triangle = np.unique(some, return_inverse=True)
             uv, rgb, texture = self._look(owner, corners, used)
-            unique, again = np.unique(np.column_stack([corner[used], uv, rgb]), axis=0, return_inverse=True)
+            row = np.column_stack([corner[used], uv, rgb])
+            unique, again = np.unique(row, axis=0, return_inverse=True)
             vertex = point[unique[:, 0].astype(np.int64)] @ matrix[:3, :3] + matrix[3, :3]
             triangle = again.reshape(-1)[triangle.reshape(-1, 3)]
             number_of = np.full(len(triangle), -1 if texture is None else 0)

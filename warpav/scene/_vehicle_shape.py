@@ -89,7 +89,8 @@ def shape_of(point_m: np.ndarray) -> Shape:
 def _mirrors_ahead(point_m: np.ndarray) -> float | None:
     """How far mirrors, the widest parts above the wheels, are ahead of the centre, over the length; None without."""
     low, high = point_m.min(axis=0), point_m.max(axis=0)
-    share = (point_m - 0.5 * (low + high)) / np.maximum(high - low, 1e-12)
+    size = np.maximum(high - low, 1e-12)
+    share = (point_m - 0.5 * (low + high)) / size
     upper = share[share[:, 2] > -0.15]
     if not len(upper):
         return None

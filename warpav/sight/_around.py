@@ -104,7 +104,8 @@ def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         (a, b), (c, d) = (np.moveaxis((ahead - behind) / _TURN_RAD, -1, 0) for ahead, behind in moved_px)
         density = math.radians(1.0) * np.sqrt(np.abs(a * d - b * c))
-    return np.where(is_in_image(camera, camera.position_m + direction) & np.isfinite(density), density, 0.0)
+    is_seen = is_in_image(camera, camera.position_m + direction)
+    return np.where(is_seen & np.isfinite(density), density, 0.0)
 
 
 # ---------------------------------------------------------------------------------------------- beside the body

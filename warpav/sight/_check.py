@@ -173,7 +173,8 @@ class RequirementResult:
         is_met = self.is_point_met[ghost]
         order = np.argsort(last, kind="stable")
         worst = [int(ghost[i]) for i in order if not is_met[i]][:_WORST_COUNT]
-        gap = Gap.largest(self.ghosts.position_m[ghost[~is_met]], requirement.grid_m, self.body.centre_m)
+        unmet_m = self.ghosts.position_m[ghost[~is_met]]
+        gap = Gap.largest(unmet_m, requirement.grid_m, self.body.centre_m)
         return RequirementOutcome(requirement, len(ghost), int(is_met.sum()), tuple(map(self._point, worst)), gap)
 
     def _point(self, ghost: int) -> WorstPoint:

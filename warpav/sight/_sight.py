@@ -140,6 +140,7 @@ def redundancy(
     for seen, scene in zip(sees, scenes, strict=True):
         if seen.ndim != 2 or seen.shape[1] != scene.vehicle_count:
             raise ValueError(f"{scene.name}: expected [camera, {scene.vehicle_count}], got {seen.shape}")
-        found.append(probability_of_at_least(cameras, seen)[np.hypot(*scene.from_ego_m.T) <= radius_m])
+        is_near = np.hypot(*scene.from_ego_m.T) <= radius_m
+        found.append(probability_of_at_least(cameras, seen)[is_near])
     share = np.concatenate(found)
     return _Redundancy(radius_m, cameras, len(share), float(share.mean()) if len(share) else None)

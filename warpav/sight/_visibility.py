@@ -48,7 +48,8 @@ class Visibility:
     def closeness(self, ghosts: Ghosts) -> np.ndarray:
         """The lesser of share and pixels over what is needed, 1 where a camera meets it, float64 [camera, ghost]."""
         needed = np.maximum(ghosts.of_each("pixels"), 1e-9)
-        return np.minimum(np.minimum(self.visible_share / ghosts.of_each("visible_share"), self.pixels / needed), 1.0)
+        share = self.visible_share / ghosts.of_each("visible_share")
+        return np.minimum(np.minimum(share, self.pixels / needed), 1.0)
 
 
 @dataclass(frozen=True, eq=False)

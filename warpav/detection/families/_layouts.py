@@ -140,7 +140,8 @@ class UltralyticsRtdetr(Family):
         box_input_px = edges_of(rows) * np.array([asked.size_px[1], asked.size_px[0]] * 2, np.float32)
         if rows.shape[1] == 6:
             return listed_candidates(self.file, box_input_px, rows[:, 4], rows[:, 5], asked)
-        return listed_candidates(self.file, box_input_px, rows[:, 4:].max(axis=1), rows[:, 4:].argmax(axis=1), asked)
+        best = rows[:, 4:].argmax(axis=1)
+        return listed_candidates(self.file, box_input_px, rows[:, 4:].max(axis=1), best, asked)
 
 
 def _may_have_columns(file: NetworkFile, *counts: int) -> bool:
@@ -199,7 +200,8 @@ class Yolox(ScoredFamily):
         )
         if grid is None:
             raise self._came(0, raw, f"a row of 5 + {label_count} labels for every cell of {asked.size_px} px")
-        candidate, confidence, class_index = self._best((raw[:, 5 + asked.classes] * raw[:, 4:5]).T, asked)
+        score = raw[:, 5 + asked.classes] * raw[:, 4:5]
+        candidate, confidence, class_index = self._best(score.T, asked)
         box = raw[candidate, :4]
         if not self._decodes:
             cell, stride_px = grid[0][candidate], grid[1][candidate, None]

@@ -65,7 +65,8 @@ class _Scored:
                     detection_ignored_unless_matched=(found_height_px < low_px) | (found_height_px >= high_px),
                 )
             )
-        return _share(float(score_images(images, iou_min=[0.5], area_px2=[(0.0, np.inf)]).average_precision()[0, 0]))
+        scores = score_images(images, iou_min=[0.5], area_px2=[(0.0, np.inf)])
+        return _share(float(scores.average_precision()[0, 0]))
 
     def report(self) -> dict[str, object]:
         labels = self.labelled.labels

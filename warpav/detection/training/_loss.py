@@ -89,7 +89,8 @@ def assign_cells(
     best = alignment.topk(min(_CELLS_PER_OBJECT, alignment.shape[2]), dim=2)
     chosen = torch.zeros_like(alignment, dtype=torch.bool).scatter_(2, best.indices, best.values > _EPSILON**2)
     # A cell that several objects chose goes to the one that its box fits best.
-    object_index = (iou * chosen).argmax(dim=1)
+    iou_chosen = iou * chosen
+    object_index = iou_chosen.argmax(dim=1)
     owned = torch.zeros_like(chosen).scatter_(1, object_index[:, None], True) & chosen
 
     # Each object's best cell is to score the object's best IoU; the others in proportion to their alignment.
@@ -202,4 +203,5 @@ def _move(truth: TargetBoxes, zoom: Tensor, shift_px: Tensor, flipped: Tensor, s
     gone = (cut_size_px < 1.0).any(dim=-1)
     small = (cut_size_px < MIN_SIDE_PX).any(dim=-1)
     mostly_gone = cut_size_px.prod(dim=-1) < _KEPT_FRACTION_MIN * area_px
-    return TargetBoxes(cut_px, torch.where(gone, _NO_OBJECT, truth.class_index), truth.ignored | small | mostly_gone)
+    class_index = torch.where(gone, _NO_OBJECT, truth.class_index)
+    return TargetBoxes(cut_px, class_index, truth.ignored | small | mostly_gone)

@@ -118,7 +118,8 @@ class Bench:
     def _placed(self) -> tuple[wp.array, wp.array]:
         workload = self.workload
         pose = wp.array(workload.pose.astype(np.float32), dtype=wp.vec3, device=self.device)
-        return _place_cameras(pose, wp.array(workload.height_m.astype(np.float32), dtype=float, device=self.device))
+        height_m = wp.array(workload.height_m.astype(np.float32), dtype=float, device=self.device)
+        return _place_cameras(pose, height_m)
 
     def _rendered(self, renderer: Renderer | None = None) -> Iterator[tuple[slice, Frame]]:
         """All views at one sample per pixel, some at a time."""
@@ -292,7 +293,8 @@ def embree_truth(workload: Workload) -> Truth:
         is_hit = (hit["primID"] >= 0) & (direction != 0.0).any(axis=1)
         index.append(np.where(is_hit, workload.triangle_object[hit["primID"]], -1).reshape(shape))
         depth_m.append(np.where(is_hit, hit["tfar"] + near_m[view], -1.0).reshape(shape))
-    return Truth("embree", {}, {}, np.arange(len(index)), np.stack(index), np.stack(depth_m).astype(np.float32))
+    views = np.arange(len(index))
+    return Truth("embree", {}, {}, views, np.stack(index), np.stack(depth_m).astype(np.float32))
 
 
 def view_rays(workload: Workload) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -311,7 +313,8 @@ def view_rays(workload: Workload) -> Iterator[tuple[np.ndarray, np.ndarray]]:
             forward = np.array([math.sin(angle_rad), 0.0, math.cos(angle_rad)])
             left = np.array([math.cos(angle_rad), 0.0, -math.sin(angle_rad)])
             direction = ray @ np.stack([-left, [0.0, -1.0, 0.0], forward])
-            yield (centre_m + workload.near_m[camera] * direction).astype(np.float32), direction.astype(np.float32)
+            origin_m = centre_m + workload.near_m[camera] * direction
+            yield origin_m.astype(np.float32), direction.astype(np.float32)
 
 
 def _hit_rgb(workload: Workload, hit: dict[str, np.ndarray]) -> np.ndarray:

@@ -142,7 +142,8 @@ def sweep_table(content: Mapping[str, Any], truth: Truth | None) -> TerminalTabl
 
 
 def _peers() -> dict[str, Any]:
-    return json.loads(files("warpav.experiments.bench").joinpath("data", "peers.json").read_text(encoding="utf-8"))
+    text = files("warpav.experiments.bench").joinpath("data", "peers.json").read_text(encoding="utf-8")
+    return json.loads(text)
 
 
 def _gradient_errors(scores: Mapping[str, Any] | None) -> tuple[str, str]:

@@ -270,7 +270,8 @@ class RigObservation:
     def detected_up_to(self, iou_min: float) -> np.ndarray:
         """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
         up_to = [each.detected_up_to(iou_min) for each in self.observations]
-        return self._with_lidars(np.concatenate(up_to).max(axis=0, initial=-np.inf), _SURELY)
+        best = np.concatenate(up_to).max(axis=0, initial=-np.inf)
+        return self._with_lidars(best, _SURELY)
 
     @property
     def confidence(self) -> np.ndarray:

@@ -138,7 +138,8 @@ class SceneOnTape:
             visible=True,
         )
         visible = self.frame.window_area(visible=True)
-        window_rad = self.mount.windows(self.views) if self.mount.is_free[[PITCH_RAD, LOG_ZOOM]].any() else None
+        are_windows_free = self.mount.is_free[[PITCH_RAD, LOG_ZOOM]].any()
+        window_rad = self.mount.windows(self.views) if are_windows_free else None
         shape = self.detected.shape
         best_view = wp.zeros(shape, dtype=wp.int32, device=device)
         in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)

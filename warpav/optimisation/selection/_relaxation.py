@@ -467,7 +467,8 @@ class Relaxation:
         self._set_links(node)
 
     def _set_branches(self, branch: Mapping[int, tuple[float, float]]) -> None:
-        self._place_rows([k for k in branch if k not in self._row_index])
+        missing = [k for k in branch if k not in self._row_index]
+        self._place_rows(missing)
         for k in self._in_force | set(branch):
             place = np.flatnonzero(self._row_index == k)
             if len(place):

@@ -215,7 +215,8 @@ def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSett
 def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> CaptureView:
     """From straight above a box, its length along the image's width, as narrow as it fits."""
     above_m = 0.5 * box.size_m[2] + settings.above_vehicle_m
-    half_width_m = 0.5 * _MARGIN * max(box.size_m[0], (settings.width_px / settings.height_px) * box.size_m[1])
+    aspect = settings.width_px / settings.height_px
+    half_width_m = 0.5 * _MARGIN * max(box.size_m[0], aspect * box.size_m[1])
     fov_rad = 2.0 * math.atan(half_width_m / settings.above_vehicle_m)
     if fov_rad > _WIDEST_RAD:  # long vehicles from higher up
         fov_rad = _WIDEST_RAD
@@ -258,4 +259,5 @@ def _facing(forward: np.ndarray) -> np.ndarray:
 def _down(yaw_rad: float) -> np.ndarray:
     """Rotation to ego axes of a camera that points straight down; its image's up direction is a heading."""
     top = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
-    return np.stack([np.array([top[1], -top[0], 0.0]), -top, [0.0, 0.0, -1.0]], axis=1)
+    right = np.array([top[1], -top[0], 0.0])
+    return np.stack([right, -top, [0.0, 0.0, -1.0]], axis=1)

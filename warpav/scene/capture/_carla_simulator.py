@@ -464,7 +464,8 @@ class CarlaSimulator(Simulator):
             ray = model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view[:3, :3].T
             point_m = view[:3, 3] + depth_m[row, column, None] * ray
             # but for its lowest part, where the road is as near as the vehicle
-            inside = (box.local_m(point_m)[:, 2] > -0.3 * box.size_m[2]) & box.contains(point_m, margin_m=0.1)
+            is_high = box.local_m(point_m)[:, 2] > -0.3 * box.size_m[2]
+            inside = is_high & box.contains(point_m, margin_m=0.1)
             found, where, total = np.unique(code[row, column], return_inverse=True, return_counts=True)
             count = np.bincount(where, weights=inside, minlength=len(found))
             mine = (count >= _MIN_INSIDE_PX) & (count > 0.5 * total)

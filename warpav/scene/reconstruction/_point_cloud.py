@@ -219,14 +219,16 @@ def seen_rgb(
         to_camera = pose[:3, 3] - vertex_m
         distance_m = np.linalg.norm(to_camera, axis=1)
         cosine = np.einsum("ij,ij->i", to_camera, normal) / np.maximum(distance_m, 1e-9)
-        weight = cosine * (model.intrinsics[0, 0] / np.maximum(distance_m, 1e-9)) ** 2
+        focal_px = model.intrinsics[0, 0]
+        weight = cosine * (focal_px / np.maximum(distance_m, 1e-9)) ** 2
         asked = np.flatnonzero((depth_m > model.near_m) & (cosine > _MIN_COSINE) & (weight > best))
         place = local[asked, :2] / depth_m[asked, None] * model.intrinsics[[0, 1], [0, 1]] + model.intrinsics[:2, 2]
         column, row = np.floor(place).astype(np.int64).T
         inside = (column >= 0) & (column < model.width_px) & (row >= 0) & (row < model.height_px)
         asked, row, column = asked[inside], row[inside], column[inside]
         beyond_m = image.depth_m[row, column] - depth_m[asked]
-        shown = np.abs(beyond_m) <= tolerance_m + _FAR_TOLERANCE * depth_m[asked]
+        allowed_m = tolerance_m + _FAR_TOLERANCE * depth_m[asked]
+        shown = np.abs(beyond_m) <= allowed_m
         if instance_id != ENVIRONMENT_INSTANCE:
             shown |= beyond_m > 0.0
         shown &= mask[row, column] > 0

@@ -258,4 +258,5 @@ def _contour(field: np.ndarray, lower_m: np.ndarray, cell_m: float, device: str)
     corner = cell[:, None, :] + np.array(warp.geometry.IsoSurfaceMarchingCubes.CUBE_CORNER_OFFSETS)
     value = field[corner[..., 0], corner[..., 1], corner[..., 2]]
     vertex, index = warp.geometry.sparse_marching_cubes_from_cells(cell, value, threshold=0.0, device=device)
-    return (vertex.numpy() * cell_m + lower_m).astype(np.float32), index.numpy().reshape(-1, 3)
+    vertex_m = (vertex.numpy() * cell_m + lower_m).astype(np.float32)
+    return vertex_m, index.numpy().reshape(-1, 3)

@@ -137,7 +137,8 @@ def _sphere_mesh(cloud: PointCloud, settings: ReconstructionSettings) -> Mesh | 
     low = int(np.floor(elevation.min() / step))
     rows = int(np.floor(elevation.max() / step)) - low + 1
     row = np.floor(elevation / step).astype(int) - low
-    node = row * around + np.floor((azimuth / (2.0 * np.pi) % 1.0) * around).astype(int) % around
+    column = np.floor((azimuth / (2.0 * np.pi) % 1.0) * around).astype(int) % around
+    node = row * around + column
     count = np.bincount(node, minlength=rows * around)
     total = np.stack([np.bincount(node, cloud.rgb[:, k], rows * around) for k in range(3)], axis=1)
     known = count > 0

@@ -245,7 +245,8 @@ def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
         raise ValueError(f"triangle_count must be at least 4, got {triangle_count}")
     if len(mesh.triangle) <= triangle_count:
         return mesh
-    step_m = _COLOUR_STEP * float(np.sqrt(0.5 * _double_area_m2(mesh.vertex_m, mesh.triangle).sum() / triangle_count))
+    area_m2 = 0.5 * _double_area_m2(mesh.vertex_m, mesh.triangle).sum()
+    step_m = _COLOUR_STEP * float(np.sqrt(area_m2 / triangle_count))
     place_m, merged, count = np.unique(
         mesh.vertex_m.astype(np.float64), axis=0, return_inverse=True, return_counts=True
     )

@@ -168,7 +168,8 @@ def _works_sign(builder: SurfaceBuilder) -> None:
         front, back = (np.stack([loop[:, 0], np.full(len(loop), y), loop[:, 1]], axis=1) for y in (-depth, 0.01))
         centre = corner.mean(axis=0)
         caps = [np.broadcast_to([centre[0], y, centre[1]], (len(loop), 1, 3)) for y in (-depth, 0.01)]
-        builder.add_grid(np.concatenate([caps[0], front[:, None], back[:, None], caps[1]], axis=1), material)
+        grid = np.concatenate([caps[0], front[:, None], back[:, None], caps[1]], axis=1)
+        builder.add_grid(grid, material)
     builder.add_box((-0.10, -0.052, 0.86), (0.10, -0.02, 0.94), Material.DARK)
     builder.add_box((-0.03, -0.052, 0.90), (0.03, -0.02, 1.12), Material.DARK)
 

@@ -119,7 +119,8 @@ class SceneryBuilder:
         x_low, y_low, x_high, y_high = marking.rectangle_m
         along = self._columns(x_low, x_high, max(1, round((x_high - x_low) / 16.0)))
         x, y = np.meshgrid(along, [y_low, y_high], indexing="ij")
-        self._add_sheet(np.stack([x, y, np.full_like(x, MARKING_HEIGHT_M)], axis=-1), np.full(3, marking.brightness))
+        point = np.stack([x, y, np.full_like(x, MARKING_HEIGHT_M)], axis=-1)
+        self._add_sheet(point, np.full(3, marking.brightness))
 
     @property
     def asphalt_rgb(self) -> np.ndarray:
@@ -160,7 +161,8 @@ class SceneryBuilder:
         x = place.x_m + c * local[..., 0] - s * local[..., 1]
         y = place.y_m + s * local[..., 0] + c * local[..., 1]
         point = np.stack([x, y, np.full_like(x, height_m + self._ground.bulge_m(x.min(), x.max()))], axis=-1)
-        self._add_sheet(point, np.broadcast_to((1.0 - strength * (1.0 - light))[:, None, None] * grey, point.shape))
+        shade = (1.0 - strength * (1.0 - light))[:, None, None] * grey
+        self._add_sheet(point, np.broadcast_to(shade, point.shape))
 
     def add_block(self, block: Block) -> None:
         rng = self._rng

@@ -106,7 +106,8 @@ class LevelWorld:
             share = one.pavement_share if isinstance(one, Person) else None
             self._scenery.add_shadow(one.footprint, index % _SHADOW_LAYERS, share, segments=segments)
         environment = merge([self._scenery.finish(), *self._pieces]).transformed(np.eye(3), to_ego)
-        return Scene(name, environment, self._ego, tuple(found), drawn_sky(self._rng), source).targeting(("vehicle",))
+        scene = Scene(name, environment, self._ego, tuple(found), drawn_sky(self._rng), source)
+        return scene.targeting(("vehicle",))
 
     def _seen(self, blockers: Sequence[Mesh], users: Sequence[Mesh]) -> list[int]:
         """Who can be seen from anywhere around the body."""

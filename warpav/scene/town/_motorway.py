@@ -80,7 +80,8 @@ def motorway_world(rng: np.random.Generator, users_rng: np.random.Generator) -> 
     section = _Section(rng.uniform(1.2, 2.2), rng.uniform(3.5, 3.75), int(rng.integers(2, 5)), rng.uniform(2.4, 3.2))
     side = 1.0 if rng.random() < 0.5 else -1.0  # of the carriageway of the ego vehicle
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
-    ahead, behind = (0.0, 0.0) if rng.random() >= _GRADE_SHARE else (ahead, behind)
+    is_level = rng.random() >= _GRADE_SHARE
+    ahead, behind = (0.0, 0.0) if is_level else (ahead, behind)
     ground = StreetGround(0.0, ahead, behind, curve_m=_CURVE_M, reach_m=300.0, only_bends=True)
     scenery = SceneryBuilder(rng, ground)
     _Builder(section, side, scenery, ground, rng).build()

@@ -31,7 +31,8 @@ def _add_ball(builder: SurfaceBuilder, centre: Point, radii: Point, material: in
     """An upright ellipsoid."""
     polar = np.radians([145.0, 100.0, 60.0, 28.0])
     ring = np.array(centre) + np.array([0.0, 0.0, 1.0]) * radii[2] * np.cos(polar)[:, None]
-    builder.add_tube(ring, np.sin(polar)[:, None] * np.array(radii[:2]), material, sides=sides, cap=0.35)
+    radius = np.sin(polar)[:, None] * np.array(radii[:2])
+    builder.add_tube(ring, radius, material, sides=sides, cap=0.35)
 
 
 def _knee(hip: Point, ankle: Point) -> Point:
@@ -161,7 +162,8 @@ def _cyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
     material = np.full(len(radius) + 1, Material.TOP)
     material[:2] = Material.LEGWEAR
     builder.add_tube(hip + share * (shoulder - hip), radius, material, sides=8, cap=0.2)
-    _add_head(builder, (float(shoulder[0]) + 0.07, 0.0, float(shoulder[2]) + 0.185), helmet=upright)
+    head = (float(shoulder[0]) + 0.07, 0.0, float(shoulder[2]) + 0.185)
+    _add_head(builder, head, helmet=upright)
     return builder.finish()
 
 

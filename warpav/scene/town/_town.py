@@ -118,7 +118,8 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
     persons = people(layout, life_rng, ground, (*taken, *(one.footprint for one in placed)))
     barely_seen = [one.footprint for one, seen in zip(placed, share, strict=True) if seen < _BARELY_SEEN_SHARE]
     persons = [person for person in persons if not any(_hides(eye, person.footprint, one) for one in barely_seen)]
-    moving = [RoadUser(category="ego", footprint=ego_place, heading_rad=layout.ego.yaw_rad), *placed, *persons]
+    ego_user = RoadUser(category="ego", footprint=ego_place, heading_rad=layout.ego.yaw_rad)
+    moving = [ego_user, *placed, *persons]
     for index, one in enumerate(moving):
         scenery.add_shadow(one.footprint, index, one.pavement_share if isinstance(one, Person) else None)
     velocity = velocities_m_s(

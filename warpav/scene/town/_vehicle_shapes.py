@@ -80,7 +80,8 @@ class _Body:
         height = np.zeros_like(np.asarray(x_m, dtype=np.float64))
         for axle in self.spec.axles:
             square = radius**2 - (x_m - self.x_at(axle)) ** 2
-            height = np.where(square >= -1e-9, self.spec.wheel_radius_m + np.sqrt(np.maximum(square, 0.0)), height)
+            inside = square >= -1e-9
+            height = np.where(inside, self.spec.wheel_radius_m + np.sqrt(np.maximum(square, 0.0)), height)
         return height
 
     def ring_m(self, parameter: np.ndarray, height_nose: np.ndarray, height_tail: np.ndarray) -> np.ndarray:
@@ -93,7 +94,8 @@ class _Body:
         height = np.maximum(spec.sill_m + share * (deck - spec.sill_m), self.arch_m(x))
         # The arch lifts points: they slide along the cross-section.
         _, y_lifted = self._plan(parameter, (height - spec.sill_m) / (deck - spec.sill_m))
-        y = np.where((parameter >= _SIDE_START) & (parameter <= _SIDE_END), y_lifted, y)
+        on_side = (parameter >= _SIDE_START) & (parameter <= _SIDE_END)
+        y = np.where(on_side, y_lifted, y)
         y = y * (1.0 - spec.taper_m / self.half_width_m * np.minimum(np.abs(x) / self.front_m, 1.0) ** 3)
         return np.stack([x, y, height], axis=-1)
 
@@ -278,7 +280,8 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, co
     base_half, roof_half = body.half_width_m - 0.95 * spec.shoulder_inset_m, body.half_width_m * spec.roof_width
     # Straight up to the bend, then a quarter ellipse into the roof: (share of the height, share of the bend).
     straight = np.array([0.0, _BELT_SHARE, *(() if coarse else (0.3, 0.6)), spec.glass_top])
-    bend = 0.5 * np.pi * np.array((0.0, 0.25, 0.5, 0.75, 0.94) if fine_m else (0.7,) if coarse else (0.2, 0.55, 0.9))
+    quarter = (0.0, 0.25, 0.5, 0.75, 0.94) if fine_m else (0.7,) if coarse else (0.2, 0.55, 0.9)
+    bend = 0.5 * np.pi * np.array(quarter)
     bend_start = max(1.0 - spec.roof_round, spec.glass_top)
     height_share = np.r_[straight, bend_start + (1.0 - bend_start) * np.sin(bend)][:, None]
     inset = np.r_[0.0 * straight, 1.0 - np.cos(bend)][:, None]

@@ -112,7 +112,8 @@ class Road:
 
     def _cells(self, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cell = np.round((np.asarray(point_m) - self.low_m) / CELL_M).astype(np.int64)
-        kept = np.clip(cell, 0, np.array(self.field_m.shape[::-1]) - 1)
+        limit = np.array(self.field_m.shape[::-1]) - 1
+        kept = np.clip(cell, 0, limit)
         return kept[..., 1], kept[..., 0], (cell == kept).all(axis=-1)
 
     def ground(self, builder: SceneryBuilder, rng: np.random.Generator) -> Mesh:
@@ -120,7 +121,8 @@ class Road:
         levels = (0.0, self.pavement_m)
         contours = [[subdivided(line, _CONTOUR_STEP_M) for line in self.contour_m(level)] for level in levels]
         point_m, triangle = self._triangulated(contours, rng)
-        zone = np.digitize(self.distance_m(point_m[triangle].mean(axis=1)), levels)
+        middle = self.distance_m(point_m[triangle].mean(axis=1))
+        zone = np.digitize(middle, levels)
         asphalt = builder.asphalt_rgb
         pavement = builder.pavement_rgb
         land = _GRASS_RGB * rng.uniform(0.85, 1.1) if rng.random() < _GRASS_SHARE else 0.8 * pavement
@@ -132,7 +134,8 @@ class Road:
         first = 0
         for number in range(3):
             used, index = np.unique(triangle[zone == number], return_inverse=True)
-            vertices.append(np.c_[point_m[used], np.full(len(used), KERB_HEIGHT_M if number else 0.0)])
+            height = np.full(len(used), KERB_HEIGHT_M if number else 0.0)
+            vertices.append(np.c_[point_m[used], height])
             triangles.append(first + index.reshape(-1, 3))
             colours.append(colour[number][used])
             first += len(used)
@@ -217,7 +220,8 @@ class Road:
                     self._add_lines(builder, number, line, side)
 
     def _add_lines(self, builder: SceneryBuilder, number: int, line_m: np.ndarray, side: float) -> None:
-        point = _at_shares(line_m, np.linspace(0.0, 1.0, max(1, round(_length_m(line_m) / _LINE_STEP_M)) + 1))
+        length = _length_m(line_m)
+        point = _at_shares(line_m, np.linspace(0.0, 1.0, max(1, round(length / _LINE_STEP_M)) + 1))
         if len(point) < 3:
             return
         along = np.gradient(point, axis=0)

@@ -100,4 +100,5 @@ def stretched(x_m: np.ndarray, rigid_m: Sequence[tuple[float, float]], length_m:
     left_m = length_m - rate * gap[is_rigid].sum()
     soft = left_m / max(float(gap[~is_rigid].sum()), 1e-6)
     grown = gap * np.where(is_rigid, rate, soft) if 0.4 <= soft <= _SOFT_MAX else gap * length_m / (high - low)
-    return np.interp(x_m, knot, np.concatenate([[0.0], np.cumsum(grown)]) - 0.5 * length_m)
+    place = np.concatenate([[0.0], np.cumsum(grown)]) - 0.5 * length_m
+    return np.interp(x_m, knot, place)

@@ -46,7 +46,8 @@ def traffic_of(
     say: Callable[[str], None] | None = None,
 ) -> list[tuple[Moment, ...]]:
     """Moments of search and test, as seeds take them; ``ego_bounds_m`` [2, 3], ``say`` as of `moments_of`."""
-    return [moments_of(part, ego_bounds_m, say=say) for part in search_and_test(recordings, test_recordings)]
+    parts = search_and_test(recordings, test_recordings)
+    return [moments_of(part, ego_bounds_m, say=say) for part in parts]
 
 
 def search_and_test(

@@ -59,7 +59,8 @@ class TrafficSource:
     @property
     def fingerprint(self) -> str:
         """Hash of all that the scene depends on besides the ego vehicle."""
-        made_of = (content_digest(self.moment.file), self.moment.step, self.moment.ego_id, self.seed)
+        content = content_digest(self.moment.file)
+        made_of = (content, self.moment.step, self.moment.ego_id, self.seed)
         if self.fleet is None:
             return fingerprint(*made_of, code=(__name__,))
         return fingerprint(*made_of, self.fleet.share, self.fleet.content, code=(__name__, *FLEET_CODE))
@@ -105,7 +106,8 @@ def traffic_scene(
         if exchange is not None:
             size_m = np.array([place.length_m, place.width_m, float(mesh.vertex_m[:, 2].max())])
             mesh = exchange(number, body.kind, mesh, size_m)
-        mesh = mesh.transformed(yaw_rotation(place.yaw_rad), np.append(place.centre_m, road.height_m(place.centre_m)))
+        foot_m = np.append(place.centre_m, road.height_m(place.centre_m))
+        mesh = mesh.transformed(yaw_rotation(place.yaw_rad), foot_m)
         box = upright_box(mesh, place.yaw_rad)
         velocity = frame.direction_in_ego(body.velocity_m_s - own.velocity_m_s)
         users.append(Vehicle(number, body.kind, mesh, box, velocity))
@@ -119,7 +121,8 @@ def traffic_scene(
         source += f"; left out for overlaps: {', '.join(state.user.user_id for state in overlapping)}"
     if recording.account:
         source += f"; {recording.account}"
-    around = Scene(name, environment, ego, tuple(users), drawn_sky(rng), source).targeting(("vehicle",)).around(ego)
+    scene = Scene(name, environment, ego, tuple(users), drawn_sky(rng), source)
+    around = scene.targeting(("vehicle",)).around(ego)
     return around, len(users) - len(around.road_users)
 
 

@@ -141,7 +141,8 @@ def _lanelet(element: ElementTree.Element) -> Lanelet:
             [_float(point.findtext(axis), place) for axis in ("x", "y")] for point in element.findall(f"{name}/point")
         ]
         lines.append(np.array(points, np.float64).reshape(-1, 2))
-    return Lanelet(lines[0], lines[1], tuple((each.text or "").strip() for each in element.findall("laneletType")))
+    kinds = tuple((each.text or "").strip() for each in element.findall("laneletType"))
+    return Lanelet(lines[0], lines[1], kinds)
 
 
 def _float(text: str | None, place: str) -> float:
