@@ -21,7 +21,7 @@ pyvista = load_pyvista_data()
 
 
 @pyvista.register_dataset_accessor("warpav", pyvista.PolyData)
-class SurfaceAccessor:
+class _SurfaceAccessor:
     """``surface.warpav`` of a surface in the ego frame, in metres."""
 
     def __init__(self, surface: PolyData) -> None:
@@ -43,7 +43,7 @@ class SurfaceAccessor:
 
 
 @pyvista.register_dataset_accessor("warpav", pyvista.MultiBlock)
-class BlocksAccessor:
+class _BlocksAccessor:
     """``blocks.warpav`` of a tree of surfaces in the ego frame, in metres."""
 
     def __init__(self, blocks: MultiBlock) -> None:

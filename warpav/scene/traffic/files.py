@@ -20,14 +20,14 @@ SHIPPED = {"sind": Path(__file__).parent / "sind"}
 _KINDS = ", ".join(each.what for each in FORMATS)
 
 
-def format_of(path: Path) -> TrafficFormat | None:
+def _format_of(path: Path) -> TrafficFormat | None:
     """The format of a recording; None where a path is none."""
     return next((each for each in FORMATS if each.is_recording(path)), None)
 
 
 def is_recording(path: Path) -> bool:
     """Whether a path looks like a recording: a file of these suffixes, or the folder of a log."""
-    return format_of(path) is not None
+    return _format_of(path) is not None
 
 
 def recordings_in(paths: Iterable[Path]) -> list[Path]:
@@ -73,7 +73,7 @@ def content_digest(path: Path) -> str:
 
 
 def _files_of(path: Path) -> list[Path]:
-    found = format_of(path)
+    found = _format_of(path)
     return [path] if found is None else found.files_of(path)
 
 
@@ -100,7 +100,7 @@ def read_recording(path: Path) -> Recording:
 @lru_cache(maxsize=256)
 def _read(path: Path, stamps: tuple[tuple[int, int], ...]) -> Recording:
     del stamps
-    found = format_of(path)
+    found = _format_of(path)
     if found is None:
         raise InputError(f"{path}: expected recorded traffic ({_KINDS}), got another file")
     try:
