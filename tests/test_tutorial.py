@@ -14,7 +14,7 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 
 
 def without_numbers(line):
-    """Numbers differ from processor to processor after a hundred steps, and a busy one says minutes; words are alike."""
+    """Numbers differ from processor to processor after a hundred steps, and a busy one says minutes."""
     return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d.]*", "#", line)).replace("# min ", "# s ").strip()
 
 
