@@ -132,7 +132,7 @@ MOST_LINES = {
     "warpav/cli": 1_665,
     "warpav/core": 2_324,
     "warpav/detection": 5_133,
-    "warpav/experiments": 3_590,
+    "warpav/experiments": 3_585,
     "warpav/optimisation": 11_866,
     "warpav/raster": 4_040,
     "warpav/rig": 6_740,
@@ -145,7 +145,7 @@ MOST_LINES = {
     "tests": 49_011,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 343, 965, 301_595, 800, 9
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES, MOST_OPEN_MODULES = 343, 965, 301_592, 800, 9
 
 
 def lines_below(folder):

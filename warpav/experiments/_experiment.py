@@ -220,20 +220,18 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
         found = replace(found, mount_pose=evaluation.mount.mount_pose_of_rig(found.rig))
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
+    counts = [assigned.scene.vehicle_count for assigned in evaluation.test]
     tested: dict[str, Any]
-    attainable = None
-    if evaluation.limits is not None:
-        attainable = attainable_objects(
-            evaluation.objective, evaluation.test, drawing=Drawing(cache=user_cache_folder("pools"))
-        )
     if task.judge != "objective":
+        attainable = None
+        if evaluation.limits is not None:  # then what is attainable is compared, and weighs its scene
+            drawing = Drawing(cache=user_cache_folder("pools"))
+            attainable = attainable_objects(evaluation.objective, evaluation.test, drawing=drawing)
+        counts = counts if attainable is None else [int(each.sum()) for each in attainable]
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
         rate = found.notes.get("false_alarms_per_image")
-        tested = {
-            "metrics": metrics_of(
-                seen, evaluation.objective, attainable=attainable, false_alarms_per_image=rate
-            ).to_json()
-        }
+        metrics = metrics_of(seen, evaluation.objective, attainable=attainable, false_alarms_per_image=rate)
+        tested = {"metrics": metrics.to_json()}
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
@@ -252,10 +250,7 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
     write_rig(found.rig, rig_file)
     return {
         **tested,
-        "objects_of_scene": [
-            assigned.scene.vehicle_count if attainable is None else int(attainable[k].sum())
-            for k, assigned in enumerate(evaluation.test)
-        ],
+        "objects_of_scene": counts,
         "method": task.arm.method,
         "overrides": list(task.arm.overrides),
         "search_overrides": list(task.arm.search_overrides),

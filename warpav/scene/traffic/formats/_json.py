@@ -24,7 +24,7 @@ from warpav.scene.traffic.recording import (
 )
 
 _Kinds = Annotated[list[Word], BeforeValidator(lambda kinds: [kinds] if isinstance(kinds, str) else kinds or [])]
-_Sample = float | None  # a number of a track; ``null`` and NaN where somebody was not seen
+_Sample = float | None  # a number of a track; ``null`` and NaN where a road user was not seen
 
 
 class _Lanelet(Record):
